@@ -13,7 +13,6 @@ from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_option
-from tests.patience import wait_until
 from tests.rig.bags import counts_of, events_of
 from tests.rig.rigs import filed, over_sockets, simulated
 
@@ -257,25 +256,29 @@ def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated,
 
 @pytest.mark.parametrize("key", ["\n", "\x04"], ids=["Enter", "Ctrl-D"])
 @pytest.mark.parametrize("command", ["collect", "evaluate"])
-def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewhere, tmp_path):
-    words = {
-        "collect": ["collect", "--logs", "1", "--test-logs", "0", "--rows", "20000"],
-        "evaluate": ["evaluate", controller, "--seconds", "300", "--repeats", "1"],
+def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant, tmp_path):
+    """The process on the terminal emulates the rig itself, in simulated time: neither a busy
+    computer nor another rig at the same port can stop it first."""
+    words, moving = {
+        "collect": (["collect", "--logs", "1", "--test-logs", "0", "--rows", "20000"], " N, "),
+        # Progress is shown before each repetition, so the fin has moved when the second starts.
+        "evaluate": (["evaluate", controller, "--seconds", "3", "--repeats", "99"], "repetition 2"),
     }[command]
-    with Terminal(
-        [*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path
-    ) as terminal:
+    with Terminal([*words, "--plant", plant, "--out", "out", "--arm"], tmp_path) as terminal:
         # The word between is coloured, as everything in quotes above a progress bar.
         terminal.wait_for(" and press Enter: ")
         terminal.type("move\n")
-        wait_until(lambda: elsewhere.drive.state is State.OPERATION_ENABLED)
+        terminal.wait_for(moving)
         terminal.type("faster\n")
         terminal.wait_for("the commands are fixed; press Enter alone to stop the fin")
         terminal.type(key)
         assert terminal.ended() == 3, terminal.said
     reason = "stopped by a key" if key == "\n" else "the terminal's input ended"
     assert f"softfin {command}: stopped, motor disabled: {reason}" in terminal.said
-    still(elsewhere)
+    (bag,) = (tmp_path / "out-bags").glob("*.mcap")
+    events = events_of(bag)
+    assert events[0] == "active: rig of emulated"
+    assert events[-1].startswith(f"stopped: emergency_stop: {reason}")
 
 
 def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):

@@ -1,6 +1,7 @@
 """Emulated rigs for tests: in simulated time, but for the few that are reached over sockets from
 another process."""
 
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,9 +91,14 @@ def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
 
 
 @contextmanager
-def over_sockets(path: Path) -> Iterator[EmulatedRig]:
-    """A rig in real time and its file, for the command line in another process."""
-    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+def over_sockets(path: Path, sensor: str = "axia80") -> Iterator[EmulatedRig]:
+    """A rig in real time and its file, for the command line in another process; a sensor that sends
+    lines is on a pseudo-terminal."""
+    with (
+        patient(),
+        unshared_loopback(),
+        EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind,
+    ):
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
         values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}
         path.write_text(yaml.safe_dump(values))
@@ -115,9 +121,21 @@ def prove(path: Path) -> None:
 
 
 @contextmanager
+def unshared_loopback() -> Iterator[None]:
+    """Put emulated Axia80s at an address of their own. A sensor streams to whoever asked last, and
+    a client whose sensor is gone keeps asking: in other tests on this computer, that may be at the
+    same port. All of 127/8 is local."""
+    address = ".".join(["127", *(str(secrets.randbelow(253) + 1) for _ in range(3))])
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr("softfin.rig.devices.axia80.emulated_sensor.LOOPBACK", address)
+        yield
+
+
+@contextmanager
 def patient() -> Iterator[None]:
     """On a busy machine an emulated sensor in real time is silent at times; no more than its age is
     judged then."""
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.devices.axia80.sensor.SILENT_S", 2.0)
+        patches.setattr("softfin.rig.devices.lines.sensor.SILENT_S", 2.0)
         yield

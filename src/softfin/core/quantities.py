@@ -109,7 +109,7 @@ closer to the end of a range."""
 
 REST_FIX = (
     "measure all angles, including the limits, from the fin's rest position; on a rig, turn the "
-    "fin there and run softfin rig zero --arm; in logs, subtract it from the angle and its command"
+    "fin there and run softfin rig zero --arm; in logs, set it with --angle-zero"
 )
 """Suggested fix for an angle range that excludes angle 0, where every experiment, episode and log
 starts and ends."""

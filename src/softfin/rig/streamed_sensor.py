@@ -121,6 +121,10 @@ class RecordSource(Protocol):
         """Return the usable records that have arrived since the last call, oldest first, without
         waiting."""
 
+    def watch(self, rate_hz: float) -> None:
+        """Watch the delay of the records from now on, if `take` cannot correct it; called once
+        their rate has been measured."""
+
     def describe(self) -> str:
         """Describe the records in a few words, for `softfin rig check`."""
 
@@ -208,6 +212,7 @@ class StreamedSensor:
             self._source.open()
             self._is_open = True
             self._await_records()
+            self._source.watch(self.times.rate_hz)
             self.read()
         except BaseException:
             self.close()

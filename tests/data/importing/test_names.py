@@ -141,6 +141,11 @@ def test_any_text_is_read_or_not_but_never_fails(text):
         ("MotorCurrent_mA", "current", "mA"),
         ("present_current", "current", None),
         ("bus voltage / V", "voltage", "V"),
+        ("Present Input Voltage", "voltage", None),
+        ("present_input_voltage", "voltage", None),
+        ("Present Velocity", "velocity", None),
+        ("Profile Velocity", "command_velocity", None),
+        ("Present Current", "current", None),
     ],
 )
 def test_names_as_people_write_them(name, channel, unit):

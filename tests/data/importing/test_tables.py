@@ -307,3 +307,52 @@ def test_wrong_options_for_further_channels_are_refused(tmp_path, columns, optio
     pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
     with pytest.raises(SoftfinError, match=re.escape(words)):
         read(tmp_path / "run.parquet", **{option: text})
+
+
+def registers(columns) -> dict:
+    """The log as ROBOTIS's library reads it: whole, unsigned numbers."""
+    velocity_unit = 0.229 * 2 * np.pi / 60
+
+    def unsigned(values, bits=32):
+        return np.mod(np.round(values).astype(np.int64), 2**bits)
+
+    return {
+        "time [s]": columns["time_s"],
+        "Goal Position": unsigned(2048 + columns["command_angle_rad"] * 4096 / (2 * np.pi)),
+        "Profile Velocity": unsigned(columns["command_velocity_rad_s"] / velocity_unit),
+        "Present Position": unsigned(2048 + columns["angle_rad"] * 4096 / (2 * np.pi)),
+        "Present Velocity": unsigned(columns["velocity_rad_s"] / velocity_unit),
+        "Present Current": unsigned(np.full(6000, -100), 16),
+        "Present Input Voltage": np.full(6000, 121),
+        "force_x_n": columns["force_x_n"],
+        "force_y_n": columns["force_y_n"],
+    }
+
+
+def test_the_registers_of_a_dynamixel_are_read_in_its_units_and_that_of_the_current_is_asked_for(
+    tmp_path, columns
+):
+    write_csv(tmp_path / "run.csv", registers(columns))
+    options = {"angles": "dynamixel", "angle_zero": 2048}
+    (recording,) = read(tmp_path / "run.csv", **options)
+    unread = recording.issues[-1]
+    assert unread.message == "columns not read: 'Present Current', 'Present Input Voltage'"
+    assert unread.fix == (
+        "to read 'Present Current', set its unit with --units current=UNIT, one of A, mA, "
+        "XM430-W210, XM430-W350, XH430-V350"
+    )
+    units = "current=XM430-W350,voltage=dynamixel"
+    (recording,) = read(tmp_path / "run.csv", **options, units=units)
+    assert kinds(recording) == ["columns"]
+    assert "angle='Present Position' in dynamixel" in recording.issues[0].message
+    (track,) = recording.tracks
+    channels = track.channels
+    for own, channel in (("command_angle_rad", "command_angle"), ("angle_rad", "angle")):
+        np.testing.assert_allclose(channels[channel], columns[own], atol=np.pi / 4096 + 1e-6)
+    for own, channel in (
+        ("command_velocity_rad_s", "command_velocity"),
+        ("velocity_rad_s", "velocity"),
+    ):
+        np.testing.assert_allclose(channels[channel], columns[own], atol=0.0121)
+    assert channels["current_a"] == pytest.approx(np.full(6000, -0.269))
+    assert channels["voltage_v"] == pytest.approx(np.full(6000, 12.1))

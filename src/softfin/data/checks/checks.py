@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softfin.core.dynamixel import CENTER
 from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.statistics import (
@@ -22,6 +23,7 @@ from softfin.data.checks.statistics import (
 )
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
+from softfin.data.importing.names import DYNAMIXEL_UNIT
 from softfin.data.issues import Issue, Severity, counted
 
 STUCK_S = 1.0
@@ -49,9 +51,9 @@ OFFSET_SHARE = 0.2
 force."""
 
 COUNTS_FIX = (
-    "convert them in the file: angle = (count - count at rest) * 2 * pi / counts per turn; "
-    "velocities are also in the drive's own unit; a Dynamixel X has 4096 counts per turn, is "
-    "centred at 2048, and reports velocity in units of 0.229 rpm"
+    f"--angles {DYNAMIXEL_UNIT} --angle-zero {CENTER} for a Dynamixel of the X series that rests "
+    f"at {CENTER}; for another drive, convert them in the file: angle = (count - count at rest) * "
+    "2 * pi / counts per turn; velocities are also in the drive's own unit"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 
@@ -112,7 +114,7 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
         option = ",".join(f"{channel}=deg" for channel in wrong)
     fix = f"--angles {option}"
     if are_integers:
-        fix = f"{fix}; if these integers are encoder counts instead, {COUNTS_FIX}"
+        fix = f"{fix}; if these integers are encoder counts instead, use {COUNTS_FIX}"
     message = f"{'; '.join(ranges)}: these look like degrees, not rad"
     yield log.issue("error", "degrees", wrong[0], message, fix)
 

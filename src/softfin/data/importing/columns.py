@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from softfin.core.dynamixel import MODELS, REGISTER_BITS
 from softfin.core.errors import LogError
 from softfin.data.importing.importing import FURTHER_KINDS, NO_COLUMN, ImportConfig, turned
 from softfin.data.importing.names import (
     CHANNELS,
+    DYNAMIXEL_UNIT,
     FURTHER,
     KINDS,
     SI,
@@ -188,6 +190,10 @@ def converted(
     for channel, values in channels.items():
         kind = KINDS[channel]
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
+        if unit == DYNAMIXEL_UNIT or unit in MODELS:
+            values = _signed(values, REGISTER_BITS[kind])
+        if kind == "angle":
+            values = values - config.angle_zero
         result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
     # A reversed angle reverses its velocity.
     negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])}
@@ -207,6 +213,12 @@ def converted(
     for channel in {"force_z", "torque"} & result.keys():
         result[channel] = side * result[channel]
     return {FURTHER.get(channel, channel): values for channel, values in result.items()}
+
+
+def _signed(values: Float[np.ndarray, "rows"], bits: int) -> Float[np.ndarray, "rows"]:
+    """Return register values as signed numbers; ROBOTIS's `dynamixel-sdk` reads unsigned ones."""
+    size = 2.0**bits
+    return np.where(values >= size / 2, values - size, values)
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:

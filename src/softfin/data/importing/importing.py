@@ -53,12 +53,15 @@ class ImportConfig(Configuration):
     """Unit of the time column (default: from the column name, or s)."""
     angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
     """Unit of all angle channels, e.g. ``deg``, or of individual ones, e.g.
-    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s (default: from the
-    column names, or rad)."""
+    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. ``dynamixel`` means
+    the registers of the X series (default: from the column names, or rad)."""
+    angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
+    """Value of the angle columns at the fin's rest position, in their unit, e.g. 2048."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
     units: dict[FurtherKind, str] = pydantic.Field(default_factory=dict)
-    """Units of further channels, e.g. ``torque=mNm,current=mA`` (default: from the column names;
+    """Units of further channels, e.g. ``torque=mNm,current=mA``, or, for the registers of a
+    Dynamixel, ``voltage=dynamixel,current=XM430-W350``, its model (default: from the column names;
     without a unit, these columns are not read)."""
     keep: dict[str, str] = pydantic.Field(default_factory=dict)
     """Columns, or topics of numbers, to keep as channels, e.g. ``temperature_c=Temp`` or ``Temp``.
@@ -111,9 +114,9 @@ class ImportConfig(Configuration):
     @classmethod
     def _in_known_units(cls, value: dict[AngleChannel, str]) -> dict[AngleChannel, str]:
         for channel, unit in value.items():
-            units = list(UNITS["angle"])
+            units = dict(UNITS["angle"])
             if KINDS[channel] == "velocity":
-                units += UNITS["velocity"]
+                units |= UNITS["velocity"]
             if unit not in units:
                 raise ValueError(
                     f"{unit!r} is not a unit of {channel}; must be one of {', '.join(units)}; for "

@@ -9,6 +9,7 @@ import math
 import re
 from typing import Literal, get_args
 
+from softfin.core.dynamixel import MODELS, TICKS_PER_TURN, VELOCITY_UNIT_RPM, VOLTAGE_UNIT_V
 from softfin.core.log_channels import KNOWN_CHANNELS
 
 LogChannel = Literal[
@@ -31,15 +32,29 @@ KINDS: dict[str, str] = {
 }
 """Physical quantity of each channel."""
 
+RPM = 2 * math.pi / 60
+"""One revolution per minute [rad/s]."""
+
+DYNAMIXEL_UNIT = "dynamixel"
+"""Unit of values as in the registers of a Dynamixel of the X series. That of the current differs
+between the models, so it is called by the model's name."""
+
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi},
+    "angle": {
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "deg": math.pi / 180,
+        "turn": 2 * math.pi,
+        DYNAMIXEL_UNIT: 2 * math.pi / TICKS_PER_TURN,
+    },
     "velocity": {
         "rad/s": 1.0,
         "mrad/s": 1e-3,
         "deg/s": math.pi / 180,
         "turn/s": 2 * math.pi,
-        "rpm": 2 * math.pi / 60,
+        "rpm": RPM,
+        DYNAMIXEL_UNIT: VELOCITY_UNIT_RPM * RPM,
     },
     "force": {
         "N": 1.0,
@@ -50,8 +65,12 @@ UNITS: dict[str, dict[str, float]] = {
         "lbf": 4.4482216152605,
     },
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
+    "current": {
+        "A": 1.0,
+        "mA": 1e-3,
+        **{name: model.current_unit_a for name, model in MODELS.items()},
+    },
+    "voltage": {"V": 1.0, "mV": 1e-3, DYNAMIXEL_UNIT: VOLTAGE_UNIT_V},
 }
 """Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
 
@@ -84,7 +103,8 @@ SPELLINGS = {
     "mV": "mv millivolt millivolts",
 }
 """Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
-angle, a slash and those of a second."""
+angle, a slash and those of a second. A Dynamixel's units have none, because a column of counts may
+be that of any encoder: options set them."""
 
 COMMAND_WORDS = {
     "command",
@@ -134,7 +154,7 @@ PHRASES = {
     # The z axis is the shaft.
     "torque": ["torque", "torque z", "moment z", "tz", "mz"],
     "current": ["current"],
-    "voltage": ["voltage", "supply voltage", "bus voltage", "battery voltage"],
+    "voltage": ["voltage", "supply voltage", "bus voltage", "battery voltage", "input voltage"],
 }
 """Names of each channel; their words may have any order. With one of `COMMAND_WORDS`, a name means
 the commanded channel."""
@@ -184,7 +204,8 @@ def _spellings(kind: str) -> dict[str, str]:
         spelled |= dict.fromkeys(SPELLINGS.get(unit, "").split(), unit)
     if kind == "velocity":
         for unit in UNITS["angle"]:
-            for pair in itertools.product(SPELLINGS[unit].split(), SPELLINGS["s"].split()):
+            angles = SPELLINGS.get(unit, "").split()
+            for pair in itertools.product(angles, SPELLINGS["s"].split()):
                 spelled["/".join(pair)] = f"{unit}/s"
         spelled |= {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "rps": "turn/s"}
     return spelled

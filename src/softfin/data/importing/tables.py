@@ -12,8 +12,8 @@ from jaxtyping import Float
 from softfin.core.errors import LogError, one_line
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
-from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.names import FURTHER
+from softfin.data.importing.importing import FURTHER_KINDS, ImportConfig
+from softfin.data.importing.names import FURTHER, KINDS, UNITS, read_name
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
@@ -93,8 +93,19 @@ def _notes(
     read = {*(column.name for column in found.values()), *config.keep.values()}
     if unused := [column for column in names if column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
-        notes.append(Issue("note", "unread columns", name, text))
+        notes.append(Issue("note", "unread columns", name, text, _unit_fix(unused)))
     return notes if "velocity" in found else [*notes, derived_velocity(name)]
+
+
+def _unit_fix(names: list[str]) -> str:
+    """Return the option that sets the unit of the first column that would be read if it had one."""
+    for name in names:
+        channel, unit = read_name(name) or ("time", None)
+        kind = KINDS[channel]
+        if kind in FURTHER_KINDS and unit is None:
+            units = ", ".join(UNITS[kind])
+            return f"to read {name!r}, set its unit with --units {kind}=UNIT, one of {units}"
+    return ""
 
 
 def derived_velocity(name: str) -> Issue:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
 from softfin.core.errors import ConfigurationError
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.protocol import CENTER, TICKS_PER_TURN
 from tests.rig.devices.dynamixel.bench import servo_config
 
 VALUES = {

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from softfin.core.dynamixel import CENTER
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.drive import Dynamixel
@@ -65,7 +66,7 @@ def test_a_target_outside_the_limits_is_refused():
         for target in (Target(2.0, 1.0), Target(0.0, 9.0), Target(math.nan, 1.0)):
             with pytest.raises(CommandError):
                 made.drive.command(target)
-        assert made.servo.get(protocol.GOAL_POSITION) == protocol.CENTER
+        assert made.servo.get(protocol.GOAL_POSITION) == CENTER
 
 
 def test_the_ends_of_the_range_are_reached():
@@ -346,7 +347,7 @@ def test_a_target_that_is_lost_is_repeated_and_one_that_is_never_taken_is_told(m
         made.drive.command(Target(0.5, 1.0))
         made.loop(0.1)
         assert made.drive.counters()["targets repeated"] == 2
-        assert made.servo.get(protocol.GOAL_POSITION) != protocol.CENTER
+        assert made.servo.get(protocol.GOAL_POSITION) != CENTER
         lost[0] = 100
         made.drive.command(Target(-0.5, 1.0))
         made.loop(0.05)

@@ -8,11 +8,13 @@ import yaml
 from softfin.cli import main
 from softfin.rig.emulation.rig import rigs
 from softfin.rig.record import load_record
+from tests import needs
 from tests.control.folders import folder_option
+from tests.rig.rigs import over_sockets
 
 
 @pytest.fixture
-def rig(tmp_path):
+def simulated_rig(tmp_path):
     file = tmp_path / "rig.yaml"
     main(["rig", "emulate", "--rig", str(file), "--sensor", "lines"])
     yield file
@@ -21,11 +23,29 @@ def rig(tmp_path):
         emulated.close()
 
 
-def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
+@pytest.fixture
+def serial_rig(tmp_path):
+    """In real time: the sensor is on a pseudo-terminal. That the drive stops by itself is taken for
+    proven, because a busy computer is late for that."""
+    needs.module("serial", "pyserial is not installed")
+    with over_sockets(tmp_path / "rig.yaml", sensor="lines"):
+        yield tmp_path / "rig.yaml"
+
+
+def test_check_zero_collect_and_evaluate_pass(simulated_rig, tmp_path, capsys):
+    main(["rig", "check", "--rig", str(simulated_rig), "--prove", "--arm", "--yes"])
+    pass_a_day(simulated_rig, tmp_path, capsys)
+
+
+def test_the_same_day_passes_over_a_pseudo_terminal(serial_rig, tmp_path, capsys):
+    assert yaml.safe_load(serial_rig.read_text())["sensor"]["port"].startswith("/dev/pts/")
+    pass_a_day(serial_rig, tmp_path, capsys)
+
+
+def pass_a_day(rig, tmp_path, capsys):
     told = ["--rig", str(rig)]
     plant = ["--plant", f"rig:{rig}", "--arm", "--yes"]
     assert yaml.safe_load(rig.read_text())["sensor"]["type"] == "lines"
-    main(["rig", "check", *told, "--prove", "--arm", "--yes"])
     main(["rig", "zero", *told, "--arm", "--yes"])
     zero = load_record(rig).force_zero
     assert zero.wrench is not None

@@ -1,14 +1,18 @@
 """A sensor that sends lines, in simulated time: what it reads, and each of its faults."""
 
+from collections import deque
 from contextlib import contextmanager
 
 import pytest
 
+from softfin.core.choices import LOOPBACK
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
+from softfin.rig.devices.lines.emulated_sensor import UDP_PORT, EmulatedLines
+from softfin.rig.devices.lines.parser import LagWatch
 from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
 from softfin.testing import check_force_sensor
 from tests.rig.still_fin import StillFin
 
@@ -169,6 +173,132 @@ def test_a_wrong_device_or_none_is_refused_with_what_it_sends():
             sensor.read()
 
 
-def test_lines_from_another_address_are_ignored():
-    with bench(address="192.0.2.7") as (_, sensor, _), pytest.raises(DeviceError, match="no line"):
+def test_records_that_come_only_from_another_address_are_refused_with_it():
+    with bench(address="192.0.2.7") as (emulated, sensor, _):
+        with pytest.raises(DeviceError, match=r"records come only from 127.0.0.1:\d+; check addr"):
+            sensor.open()
+        # Whatever is not a record is not from a sensor.
+        emulated.transmit = lambda line: (b"hello\r\n",)
+        with pytest.raises(DeviceError, match="no line within 5 s"):
+            sensor.open()
+
+
+@contextmanager
+def second_sender(clock, host, rate_hz=320.0):
+    """Another sensor that sends to the same port."""
+    second = SimulatedSocket(clock, host)
+    ending = clock.event()
+
+    def send():
+        count = 0
+        while not ending.wait(1 / rate_hz):
+            count += 1
+            second.sendto(f"{count},9.0,9.0\n".encode(), (LOOPBACK, UDP_PORT))
+
+    thread = clock.spawn(send, "second sensor")
+    try:
+        yield second
+    finally:
+        ending.set()
+        thread.join()
+        second.close()
+
+
+@pytest.mark.parametrize(
+    "columns", [("count", "force_x", "force_y"), ("skip", "force_x", "force_y")]
+)
+@pytest.mark.parametrize("host", [LOOPBACK, "127.0.0.2"])
+def test_two_senders_are_a_fault_that_names_both(host, columns):
+    with bench(columns=columns) as (emulated, sensor, clock):
         sensor.open()
+        run(sensor, clock, 0.2)
+        with second_sender(clock, host) as second:
+            reading = run(sensor, clock, 0.1)
+        (complaint,) = sensor.complaints()
+        first = f"{LOOPBACK}:{emulated._link._socket.address[1]}"
+        assert f"records come from {first} and {host}:{second.address[1]}, so two" in complaint
+        if host != LOOPBACK:
+            # Its records are not used.
+            assert reading.wrench[:2] == pytest.approx((2.0, -1.0), abs=0.01)
+        sensor.open()
+        assert sensor.complaints() == ()
+
+
+def test_two_senders_that_double_the_rate_are_refused_with_both_names():
+    with (
+        bench(columns=("skip", "force_x", "force_y")) as (_, sensor, clock),
+        second_sender(clock, LOOPBACK),
+        pytest.raises(
+            DeviceError, match=r"records come from 127.0.0.1:\d+ and 127.0.0.1:\d+, so two"
+        ),
+    ):
+        sensor.open()
+
+
+class Buffer:
+    """A buffer between sensor and computer; `delay_s` may be changed at any time."""
+
+    def __init__(self, clock, stamp=lambda line: line):
+        self.delay_s = 0.0
+        self._clock = clock
+        self._stamp = stamp
+        self._lines = deque()
+
+    def __call__(self, line):
+        self._lines.append((self._clock(), self._stamp(line)))
+        while self._lines and self._clock() - self._lines[0][0] >= self.delay_s:
+            yield self._lines.popleft()[1]
+
+
+def in_milliseconds(line):
+    """The line with its time instead of its count."""
+    count, rest = line.split(b",", 1)
+    return b"%d,%s" % (int(count) * 1000 // 320, rest)
+
+
+COUNTED = {
+    "count": lambda line: line,
+    "time_ms": in_milliseconds,
+}
+
+
+@pytest.mark.parametrize("column", COUNTED)
+@pytest.mark.parametrize("growth", ["at once", "slowly"])
+def test_a_delay_that_grows_within_the_sensor_is_a_fault(column, growth):
+    with bench(columns=(column, "force_x", "force_y")) as (emulated, sensor, clock):
+        buffer = emulated.transmit = Buffer(clock, COUNTED[column])
+        sensor.open()
+        run(sensor, clock, 1.0)
+        for tick in range(200):
+            # By pauses that are too short for the limit on the force's age.
+            buffer.delay_s = 0.1 if growth == "at once" else 0.001 * tick
+            assert clock() - run(sensor, clock, 0.01).force_time < 0.15
+        (complaint,) = sensor.complaints()
+        assert "its lines arrive 0." in complaint
+        assert "later than before" in complaint
+
+
+@pytest.mark.parametrize("column", COUNTED)
+@pytest.mark.parametrize("rate_hz", [318.0, 320.0, 322.0])
+def test_single_late_lines_and_a_clock_that_is_off_are_no_lag(column, rate_hz):
+    with bench(columns=(column, "force_x", "force_y")) as (emulated, sensor, clock):
+        emulated.rate_hz = rate_hz
+        buffer = emulated.transmit = Buffer(clock, COUNTED[column])
+        sensor.open()
+        for tick in range(2000):
+            buffer.delay_s = 0.08 if tick % 50 < 10 else 0.0
+            run(sensor, clock, 0.01)
+        assert sensor.complaints() == ()
+
+
+def test_lag_is_measured_from_the_line_with_the_least_delay():
+    watch = LagWatch(0.01)
+    for tick in range(300):
+        delay = 0.2 if tick < 100 else 0.0
+        # The delay at the start is unknown; it can only be seen to shrink.
+        watch.take(0.01 * tick, 0.01 * tick + delay)
+    assert not watch.is_lagging
+    for tick in range(300, 400):
+        watch.take(0.01 * tick, 0.01 * tick + 0.2)
+    assert watch.is_lagging
+    assert watch.lag_s == pytest.approx(0.2, abs=0.01)

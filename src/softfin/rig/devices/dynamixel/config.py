@@ -5,16 +5,9 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
+from softfin.core.dynamixel import CENTER, MODELS, TICKS_PER_TURN, VELOCITY_UNIT_RPM, Model
 from softfin.rig.device import DriveConfig
-from softfin.rig.devices.dynamixel.protocol import (
-    ACCELERATION_UNIT_RPM_MIN,
-    CENTER,
-    MODELS,
-    TICKS_PER_TURN,
-    VELOCITY_UNIT_RPM,
-    WATCHDOG_UNIT_S,
-    Model,
-)
+from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WATCHDOG_UNIT_S
 from softfin.rig.safety import OVERSHOOT_RAD
 
 MAX_BRAKE_S = 0.5

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.dynamixel import CENTER, TICKS_PER_TURN, VOLTAGE_UNIT_V
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
@@ -219,9 +220,9 @@ class Dynamixel:
         status = self._new_status()
         before = self.link.read(protocol.HOMING_OFFSET)
         # An offset of 0 means that the fin has never been zeroed; 1 is an error of 0.09 degrees.
-        offset = protocol.CENTER - (status.position - before) or 1
+        offset = CENTER - (status.position - before) or 1
         if abs(offset) > protocol.MAX_HOMING_OFFSET:
-            degrees = 360 * (status.position - before) / protocol.TICKS_PER_TURN
+            degrees = 360 * (status.position - before) / TICKS_PER_TURN
             raise RigError(
                 f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
                 "90 degrees of the middle, 180, when the fin is at zero"
@@ -229,9 +230,9 @@ class Dynamixel:
         setup.write(self.link, protocol.HOMING_OFFSET, offset)
         self._homing_offset = offset
         position = self._new_status().position
-        if abs(position - protocol.CENTER) > ZERO_TOLERANCE:
+        if abs(position - CENTER) > ZERO_TOLERANCE:
             raise DeviceError(
-                f"servo is at {position} after zeroing instead of {protocol.CENTER}; hold the fin "
+                f"servo is at {position} after zeroing instead of {CENTER}; hold the fin "
                 "still and try again"
             )
 
@@ -307,7 +308,7 @@ class Dynamixel:
 
     def checks(self) -> Iterator[CheckResult]:
         """Describe the open drive."""
-        voltage_v = self._known_status().voltage * protocol.VOLTAGE_UNIT_V
+        voltage_v = self._known_status().voltage * VOLTAGE_UNIT_V
         text = f"{self.config.model}, {self.where}: limits read, supply {voltage_v:.1f} V"
         yield CheckResult("drive", "well", text)
 

@@ -2,10 +2,11 @@
 
 Sources: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0" for packets and errors, "XM430-W350" for the
 control table, and its pages on single entries (Bus Watchdog, Drive Mode, Homing Offset, Shutdown,
-Indirect Data). The CRC is checked against the packets printed there. Nothing has been tested with a
-real servo yet. We did not find these facts there, so check them first: the torque stays on after
-the bus watchdog has tripped, position limits apply to positions that include the homing offset, the
-indirect addresses may be written at any time, and a restart sets them back.
+Indirect Data). Units and models are in `core.dynamixel`. The CRC is checked against the packets
+printed there. Nothing has been tested with a real servo yet. We did not find these facts there, so
+check them first: the torque stays on after the bus watchdog has tripped, position limits apply to
+positions that include the homing offset, the indirect addresses may be written at any time, and a
+restart sets them back.
 
 softfin does not use ROBOTIS's `dynamixel-sdk`: it waits in busy loops on the computer's clock, so
 it cannot run in simulated time, and it rejects an instruction while another thread waits for an
@@ -181,15 +182,10 @@ FIRST_FIRMWARE = 38
 """First firmware with a bus watchdog."""
 ALL_STATUS_PACKETS = 2
 """Status Return Level: every instruction is answered."""
-CENTER = 2048
-"""Position in the middle of the turn, which softfin uses as the fin's zero."""
-TICKS_PER_TURN = 4096
 MAX_HOMING_OFFSET = 1024
 """In position mode, the servo ignores homing offsets of more than a quarter turn."""
-VELOCITY_UNIT_RPM = 0.229
 ACCELERATION_UNIT_RPM_MIN = 214.577
-"""Units of velocity [rev/min] and acceleration [rev/min2]."""
-VOLTAGE_UNIT_V = 0.1
+"""Unit of acceleration [rev/min2]."""
 TICK_UNIT_S = 1e-3
 TICK_RANGE = 32_768
 """The realtime tick counts milliseconds and restarts at 0 after 32767."""
@@ -197,23 +193,6 @@ WATCHDOG_UNIT_S = 0.02
 WATCHDOG_TRIPPED = 255
 """Bus Watchdog (-1 as an unsigned byte): no instruction arrived in time, so the servo has stopped
 and rejects new goals until 0 is written. Its torque stays on."""
-
-
-class Model(NamedTuple):
-    """Properties that differ between the models."""
-
-    number: int
-    current_unit_a: float
-    """Unit of the present current [A]."""
-
-
-MODELS = {
-    "XM430-W210": Model(1030, 2.69e-3),
-    "XM430-W350": Model(1020, 2.69e-3),
-    "XH430-V350": Model(1040, 1.34e-3),
-}
-"""Supported models, from their e-Manual pages; others of the X series have the same control table,
-apart from the XL330 and XC330, and those without a current sensor."""
 
 
 class HardwareError(IntFlag):

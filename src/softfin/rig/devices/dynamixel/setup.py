@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
+from softfin.core.dynamixel import MODELS
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
@@ -29,9 +30,9 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
             f"no servo answers as ID {config.id} on {config.port} ({error}); check that no other "
             "device or second servo has this ID"
         ) from None
-    expected = protocol.MODELS[config.model].number
+    expected = MODELS[config.model].number
     if number != expected:
-        names = [name for name, model in protocol.MODELS.items() if model.number == number]
+        names = [name for name, model in MODELS.items() if model.number == number]
         found = names[0] if names else "unsupported"
         raise RigError(
             f"{link.name}: model number is {number} ({found}), but {config.model} has {expected}; "

@@ -42,7 +42,7 @@ class LinesConfig(StreamedSensorConfig):
     baud: int = Field(115_200, ge=1200, le=4_000_000)
     """Bits per second of the serial port."""
     address: str | None = None
-    """IP address from which the sensor sends; datagrams from others are ignored."""
+    """IP address from which the sensor sends; records from others are not used, but are a fault."""
     udp_port: int | None = Field(None, ge=1, le=65535)
     """UDP port of this computer to which the sensor sends."""
     separator: str = Field(",", min_length=1, max_length=1)

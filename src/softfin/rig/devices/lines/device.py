@@ -6,6 +6,7 @@ from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.rig.simulated_clock import SimulatedClock
 
 
 def _emulated_config() -> LinesConfig:
@@ -26,7 +27,8 @@ def _emulated_config() -> LinesConfig:
 def _emulate(config: LinesConfig, fin: EmulatedFin, clock: Clock) -> EmulatedDevice:
     from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
 
-    return EmulatedLines(fin, config.rate_hz, clock)
+    over = "udp" if isinstance(clock, SimulatedClock) else "serial"
+    return EmulatedLines(fin, config.rate_hz, clock, over=over)
 
 
 LINES = ForceSensorType(LinesConfig, lines_sensor, _emulated_config, _emulate)

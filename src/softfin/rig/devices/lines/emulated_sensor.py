@@ -58,7 +58,7 @@ class EmulatedLines:
 
     def description(self) -> str:
         """Return the port."""
-        return ", ".join(f"{name} {value}" for name, value in self.address().items())
+        return ", ".join(f"{name} {value}" for name, value in self.address().items() if value)
 
     def remembered(self) -> JsonObject:
         """Return nothing: softfin keeps the zero."""
@@ -108,7 +108,8 @@ class _Pty:
         self._own, self._other = os.openpty()
         tty.setraw(self._other)
         os.set_blocking(self._own, False)
-        self.address: JsonObject = {"port": os.ttyname(self._other)}
+        port = os.ttyname(self._other)
+        self.address: JsonObject = {"port": port, "address": None, "udp_port": None}
         self._is_open = True
 
     def send(self, data: bytes) -> None:

@@ -11,6 +11,17 @@ from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesCon
 REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
 
+MAX_LAG_S = 0.05
+"""Increase of the delay between sensor and computer that is a fault [s]: the loop's limit on the
+age of a force cannot see it."""
+
+LAGGING_S = 0.5
+"""Time for which every line must be that late [s]; single late ones are bridged."""
+
+CLOCK_ERRORS = {"count": 0.05, "time_ms": 0.01, "time_us": 0.01}
+"""Largest relative error of the sensor's clock; a delay that grows no faster cannot be told from
+it. The clock of a counter is its rate, which is measured in half a second."""
+
 
 class Record(NamedTuple):
     """One line."""
@@ -58,6 +69,8 @@ class LineCounter:
     def __init__(self, config: LinesConfig) -> None:
         self.has_restarted = False
         """Whether the counter went back, as after a restart of the sensor."""
+        self.total = 0
+        """Increase of the counter or of the time since the first line, in its own unit."""
         self._rate_hz = config.rate_hz
         self._column = config.counter
         self._newest: int | None = None
@@ -85,4 +98,40 @@ class LineCounter:
             steps = 1
         if change > 0 or self.has_restarted:
             self._newest = number
+            self.total += max(change, 0)
         return steps
+
+
+class LagWatch:
+    """Notices that the sensor delivers its lines ever later, e.g. because a buffer in it or on the
+    way fills: they still arrive regularly, so the force looks new."""
+
+    def __init__(self, clock_error: float) -> None:
+        self.is_lagging = False
+        """Whether all lines were too late for some time, once."""
+        self.lag_s = 0.0
+        """Increase of the delay at that moment [s]."""
+        self._clock_error = clock_error
+        self._lowest: float | None = None
+        """Lowest difference of the two clocks, which is that of the lines with the least delay."""
+        self._arrived = 0.0
+        self._lagging_since: float | None = None
+
+    def take(self, sent: float, arrived: float) -> None:
+        """Register a line that was sent at a time on the sensor's clock and arrived at one on the
+        computer's [s]."""
+        difference = arrived - sent
+        lowest = difference
+        if self._lowest is not None:
+            drift = self._clock_error * (arrived - self._arrived)
+            lowest = min(difference, self._lowest + drift)
+        self._lowest = lowest
+        self._arrived = arrived
+        if difference - lowest <= MAX_LAG_S:
+            self._lagging_since = None
+            return
+        if self._lagging_since is None:
+            self._lagging_since = arrived
+        if not self.is_lagging and arrived - self._lagging_since >= LAGGING_S:
+            self.is_lagging = True
+            self.lag_s = difference - lowest

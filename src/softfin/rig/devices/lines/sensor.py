@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from softfin.core.clock import REAL, Clock
 from softfin.core.printable import printable
 from softfin.rig.device import CheckResult
-from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.parser import LineCounter, LineParser
+from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
+from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
@@ -37,6 +37,11 @@ class LineSource:
     def _reset(self) -> None:
         self.records = self.lost = self.late = self.malformed = 0
         self._counter = LineCounter(self.config)
+        self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
+        self._count_s: float | None = None
+        """Time that one count lasts, once it is known [s]; None if the lines have no counter."""
+        self._senders: list[str] = []
+        """The first two addresses from which records came."""
         self._missing = 0
         self._malformed_in_a_row = 0
         self._example = b""
@@ -76,6 +81,14 @@ class LineSource:
                 records.append(record)
         return records
 
+    def watch(self, rate_hz: float) -> None:
+        """Watch the delay of lines with a counter or time from now on."""
+        counter = self.config.counter
+        if counter is not None:
+            # The rate of the lines may differ from the file by 10%.
+            is_line = counter == "count"
+            self._count_s = 1 / rate_hz if is_line else COUNTERS[counter]
+
     def describe(self) -> str:
         """Return the kind of the records."""
         return "lines"
@@ -88,6 +101,9 @@ class LineSource:
 
     def explain_silence(self) -> str:
         """Return the columns that were expected and an example of what arrived."""
+        if self._senders:
+            others = " and ".join(self._senders)
+            return f"records come only from {others}; check address and udp_port"
         problem = f"no line within {FIRST_WAIT_S:g} s"
         if self.malformed:
             problem = f"no line with columns {', '.join(self.config.columns)}, e.g. "
@@ -99,10 +115,20 @@ class LineSource:
         lines = []
         if self.trouble is not None:
             lines.append(f"disconnected ({self.trouble}); {self.remedy}, then start again")
-        if self._counter.has_restarted:
+        if len(self._senders) > 1:
+            lines.append(
+                f"records come from {' and '.join(self._senders)}, so two sensors send to this "
+                "port, or it restarted; give each its own udp_port, then start again"
+            )
+        elif self._counter.has_restarted:
             lines.append(
                 "its counter went back, so it restarted, or two sensors send to the same address; "
                 "check its supply and cable"
+            )
+        if self._lag.is_lagging:
+            lines.append(
+                f"its lines arrive {self._lag.lag_s:.2f} s later than before, so they fill a "
+                "buffer; send fewer or shorter lines, or increase baud, then start again"
             )
         if self._malformed_in_a_row >= MALFORMED_RECORDS:
             lines.append(
@@ -132,8 +158,12 @@ class LineSource:
 
     def _take(self, line: TimedLine) -> TimedWrench | None:
         """Count a line; return it if it is a new record."""
-        self.records += 1
         record = self._parser.parse(line.text)
+        if record is not None and line.source not in self._senders:
+            self._senders = [*self._senders, line.source][:2]
+        if not line.is_expected:
+            return None
+        self.records += 1
         if record is None:
             self.malformed += 1
             self._malformed_in_a_row += 1
@@ -149,6 +179,8 @@ class LineSource:
         if self.config.counter is not None:
             self.lost += steps - 1
             self._missing += steps - 1
+        if self._count_s is not None:
+            self._lag.take(self._counter.total * self._count_s, line.time)
         missing = self._missing
         self._missing = 0
         return TimedWrench(record.wrench, missing, line.time)

@@ -23,10 +23,20 @@ WAIT_S = 0.05
 MAX_LINE_BYTES = 1000
 
 
+class Received(NamedTuple):
+    """Bytes from one source."""
+
+    data: bytes
+    source: str = ""
+    """Address and port of the sender; empty for a serial port."""
+    is_expected: bool = True
+    """Whether they come from the configured address."""
+
+
 class Transport(Protocol):
     """A source of bytes."""
 
-    def read(self) -> bytes:
+    def read(self) -> Received:
         """Wait up to `WAIT_S` for bytes and return them; raises OSError if the sensor is gone."""
 
     def close(self) -> None:
@@ -48,10 +58,9 @@ class SerialTransport:
                 "and your permission to use it, and end other programs that use it"
             ) from None
 
-    def read(self) -> bytes:
+    def read(self) -> Received:
         """Return the bytes that have arrived, at least one unless none arrives in time."""
-        data: bytes = self._serial.read(max(1, self._serial.in_waiting))
-        return data
+        return Received(self._serial.read(max(1, self._serial.in_waiting)))
 
     def close(self) -> None:
         """Close the port."""
@@ -59,7 +68,7 @@ class SerialTransport:
 
 
 class UdpTransport:
-    """Datagrams from one address; each contains whole lines."""
+    """Datagrams; each contains whole lines."""
 
     def __init__(self, address: str, port: int, clock: Clock) -> None:
         self._address = address
@@ -81,14 +90,15 @@ class UdpTransport:
                 "udp_port, and end other programs that use the port"
             ) from None
 
-    def read(self) -> bytes:
-        """Return a datagram of the sensor; empty if none arrives in time."""
+    def read(self) -> Received:
+        """Return a datagram; empty if none arrives in time."""
         try:
             data, sender = self._socket.recvfrom(65_535)
         except (TimeoutError, BlockingIOError):
-            return b""
+            return Received(b"")
         # A datagram is not continued by the next one.
-        return data + b"\n" if sender[0] == self._address else b""
+        source = f"{sender[0]}:{sender[1]}"
+        return Received(data + b"\n", source, sender[0] == self._address)
 
     def close(self) -> None:
         """Close the socket."""
@@ -105,10 +115,12 @@ def open_transport(config: LinesConfig, clock: Clock) -> Transport:
 
 
 class TimedLine(NamedTuple):
-    """A line without its end, and the time at which it arrived [s]."""
+    """A line without its end, the time at which it arrived [s], and where from."""
 
     text: bytes
     time: float
+    source: str
+    is_expected: bool
 
 
 class LineReader:
@@ -143,16 +155,16 @@ class LineReader:
     def _run(self) -> None:
         while not self._closing.is_set():
             try:
-                data = self._transport.read()
+                received = self._transport.read()
             except Exception as error:
                 # pyserial raises OSError, and TypeError if its port is closed meanwhile.
                 if not self._closing.is_set():
                     self.trouble = one_line(error)
                 return
-            self._split(data, self._clock())
+            self._split(received, self._clock())
 
-    def _split(self, data: bytes, now: float) -> None:
-        *lines, self._rest = (self._rest + data).split(b"\n")
+    def _split(self, received: Received, now: float) -> None:
+        *lines, self._rest = (self._rest + received.data).split(b"\n")
         # An endless line must not fill the memory; its end is malformed and will be counted.
         self._rest = self._rest[-MAX_LINE_BYTES:]
         if lines and self._is_cut:
@@ -161,4 +173,5 @@ class LineReader:
         lines = [line for line in lines if line.strip()]
         for index, line in enumerate(lines):
             # Lines that arrive together were sent one after the other.
-            self.lines.append(TimedLine(line, now - (len(lines) - 1 - index) / self._rate_hz))
+            time = now - (len(lines) - 1 - index) / self._rate_hz
+            self.lines.append(TimedLine(line, time, received.source, received.is_expected))

@@ -111,6 +111,9 @@ class TopicSource:
             self._unusable_in_a_row += messages.refused + messages.not_newer - unusable
         return records
 
+    def watch(self, rate_hz: float) -> None:
+        """Do nothing: a delayed message has an old stamp."""
+
     def describe(self) -> str:
         """Return the type of the messages and their frame."""
         return f"WrenchStamped in the frame {self._frame_id!r}"
