@@ -7,7 +7,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.connection import Publisher, Subscriber
+from softfin.rig.ros2.connection import DEPTH, Publisher, Subscriber
 from softfin.rig.ros2.plant import define_types
 from softfin.storage.bag.messages import build_message
 
@@ -99,7 +99,7 @@ class MemoryTransport:
 
         return Publisher(send, lambda: self.readers[topic])
 
-    def subscribe(self, topic, kind, quality="reliable"):
+    def subscribe(self, topic, kind, quality="reliable", depth=DEPTH):
         self.asked[topic].append((kind, quality))
         taken = 0
 
@@ -111,7 +111,7 @@ class MemoryTransport:
             taken = len(self.waiting[topic])
             return [(data, at) for data, at, offered in news if quality in HEARD_BY[offered]]
 
-        return Subscriber(take, lambda: self.mismatched[topic])
+        return Subscriber(take, lambda: self.mismatched[topic], lambda: ["somebody"])
 
     def topics(self):
         return {"/somebody": "std_msgs/msg/Bool"}

@@ -203,6 +203,33 @@ def _plant_config(**changes: Any) -> Any:
     return Ros2PlantConfig.build(config | changes)
 
 
+def sensor(_: Path) -> dict[str, Any]:
+    """A force sensor on the child's topic, until the child publishes it twice."""
+    from softfin.rig import streamed_sensor
+    from softfin.rig.devices.ros2.config import TopicSensorConfig
+    from softfin.rig.devices.ros2.sensor import topic_sensor
+
+    streamed_sensor.FIRST_WAIT_S = HANG_S
+    values = {"topic": "/wrench", "rate_hz": 50.0, "filter_delay_s": 0.0, "frame": "x,y"}
+    made = topic_sensor(TopicSensorConfig.build(values | {"connection": {"transport": "dds"}}))
+    made.open()
+    wrench = made.read().wrench
+    (described, *_) = made.checks()
+    publishers: list[str] = []
+    while not publishers:
+        time.sleep(0.005)
+        made.keep_up()
+        publishers = [line for line in made.complaints() if "publishers" in line]
+    counters = made.counters()
+    made.close()
+    return {
+        "wrench": wrench,
+        "described": described.text,
+        "publishers": publishers,
+        "counters": counters,
+    }
+
+
 def node(_: Path) -> dict[str, Any]:
     """A node: the child reads what it says, then asks for a force and a stop."""
     from softfin.rig.machine import Sample, Target
@@ -435,6 +462,25 @@ def dead_man_child(folder: Path) -> None:
     )
     (folder / "rest.part").rename(folder / "rest.json")
     time.sleep(HANG_S)
+
+
+def sensor_child(folder: Path) -> None:
+    """A driver without ROS 2's default quality of service, which is started again after a while."""
+    child = Child()
+    writers = [child.writer("/wrench", WrenchStamped, OFFERS["best_effort"])]
+    (folder / "child.json").write_text(json.dumps(os.getpid()))
+    began = time.monotonic()
+    began_ns = time.time_ns()
+    for sent in itertools.count():
+        # The rate and the stamps stay the same on a busy computer.
+        time.sleep(max(0.0, began + sent / 50 - time.monotonic()))
+        stamp = Time(*divmod(began_ns + sent * 20_000_000, 10**9))
+        # Each message differs, as those of a real sensor do.
+        force = Vector3(2.0 + 1e-4 * (sent % 7), -1.0, 0.5)
+        wrench = Wrench(force, Vector3(0.1, 0.2, 0.3))
+        writers[0].write(WrenchStamped(Header(stamp, "ft"), wrench))
+        if sent == 500:
+            writers.append(child.writer("/wrench", WrenchStamped, OFFERS["reliable"]))
 
 
 def node_child(folder: Path) -> None:

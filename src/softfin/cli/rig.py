@@ -176,7 +176,7 @@ class RigEmulateArguments(Common):
     drive: str = "epos2"
     """Type of the emulated drive: epos2 or dynamixel."""
     sensor: str = "axia80"
-    """Type of the emulated force sensor: axia80 or lines."""
+    """Type of the emulated force sensor: axia80, lines or ros2."""
     real_time: bool = False
     """Instead, emulate a drive and a sensor in real time on local sockets, until Ctrl-C."""
 

@@ -55,7 +55,7 @@ class DeviceConfig(Configuration):
 def is_address(field: str) -> bool:
     """Return whether a field of a device's configuration only defines its address, which may change
     at any time; the others affect the readings or the motion."""
-    return field in ("address", "port") or field.endswith("_port")
+    return field in ("address", "port", "connection") or field.endswith("_port")
 
 
 class DriveConfig(DeviceConfig):

@@ -83,7 +83,7 @@ def test_references_are_of_both_types_and_of_our_frame():
     )
     assert read_reference_message(wrench, "fin_mount") == (1.0, -2.0)
     assert read_reference_message(vector, "fin_mount") == (3.0, 4.0)
-    with pytest.raises(ValueError, match="frame is 'fin_mount', but this node's is 'base'"):
+    with pytest.raises(ValueError, match="frame is 'fin_mount', expected 'base'"):
         read_reference_message(wrench, "base")
 
 

@@ -138,6 +138,17 @@ def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(t
     )
 
 
+def test_a_force_sensor_reads_a_best_effort_driver_and_notices_a_second_publisher(tmp_path):
+    told = within("sensor", tmp_path)
+    assert told["wrench"] == pytest.approx([2.0, -1.0, 0.5, 0.1, 0.2, 0.3], abs=1e-3)
+    assert told["described"].startswith("WrenchStamped in the frame 'ft', ")
+    assert told["counters"]["sensor_malformed"] == 0
+    assert told["counters"]["sensor_records"] > 20
+    (line,) = told["publishers"]
+    assert line.startswith("force sensor /wrench: has 2 publishers (")
+    assert line.count(f" {json.loads((tmp_path / 'child.json').read_text())} on ") == 2
+
+
 def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     told = within("node", tmp_path)
     assert told["reference"][:2] == [1.5, -2.5]

@@ -209,7 +209,7 @@ def test_a_reference_in_another_frame_or_of_other_bytes_is_refused():
     assert node.node.reference() is None
     told = node.told
     assert len(told) == 2
-    assert "frame is 'camera', but this node's is 'fin_mount'" in told[0]
+    assert "frame is 'camera', expected 'fin_mount'" in told[0]
     assert all("\n" not in line for line in told)
 
 

@@ -14,7 +14,7 @@ from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import open_transport
 from tests.patience import HANG_S, wait_until
-from tests.rig.ros2_memory import JOINT
+from tests.rig.ros2_memory import JOINT, WRENCH
 
 
 class Rclpy:
@@ -104,6 +104,13 @@ class Rclpy:
         self.calls.append(("create_subscription", kind, topic, quality))
         self.subscriptions[topic] = callback
 
+    def get_publishers_info_by_topic(self, topic):
+        names = {"/fin/wrench": [("/", "driver"), ("/lab", "driver")]}.get(topic, [])
+        return [
+            types.SimpleNamespace(node_namespace=namespace, node_name=name)
+            for namespace, name in names
+        ]
+
     def get_topic_names_and_types(self):
         return [("/ours", [JOINT]), ("/both", [JOINT]), ("/heard", [JOINT])]
 
@@ -184,6 +191,18 @@ def test_the_topics_are_those_that_somebody_else_publishes(transport):
     transport.publish("/ours", JOINT)
     transport.publish("/both", JOINT)
     assert transport.topics() == {"/both": JOINT}
+
+
+def test_a_subscriber_keeps_as_many_messages_as_asked_for_and_names_its_publishers(
+    rclpy, transport
+):
+    subscriber = transport.subscribe("/fin/wrench", WRENCH, "best_effort", depth=3)
+    assert rclpy.calls[-1][3] == {"depth": 3, "reliability": "best effort"}
+    for index in range(5):
+        rclpy.subscriptions["/fin/wrench"](bytes([index]))
+    assert [data for data, _ in subscriber.take()] == [b"\x02", b"\x03", b"\x04"]
+    assert subscriber.publishers() == ["/driver", "/lab/driver"]
+    assert transport.subscribe("/silent", WRENCH).publishers() == []
 
 
 def test_it_closes_once_and_its_thread_ends(rclpy, transport):

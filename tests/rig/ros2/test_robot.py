@@ -211,7 +211,7 @@ def test_without_a_new_wrench_the_fins_may_be_asked_for_nothing():
         ((np.nan, 0, 0, 0, 0, 0), "base_link", "its force x is nan"),
         ((0, 0, 0, 0, np.inf, 0), "", "its torque y is inf"),
         ((1e300, 0, 0, 0, 0, 0), "", "a component exceeds 1e+06 N or N m"),
-        (WRENCH, "map", "its frame is 'map', but this node's is 'base_link'"),
+        (WRENCH, "map", "its frame is 'map', expected 'base_link'"),
     ],
 )
 def test_a_wrench_that_cannot_be_is_refused_in_words_once(wrench, frame, told):

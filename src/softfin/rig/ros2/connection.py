@@ -21,7 +21,7 @@ VECTOR = "geometry_msgs/msg/Vector3Stamped"
 BOOL = "std_msgs/msg/Bool"
 
 DEPTH = 10
-"""Queue length for slower readers [messages]; ROS 2's default."""
+"""Default length of a reader's queue, which keeps the latest messages; ROS 2's default."""
 
 CREEP = 2e-4
 """Rate at which the smallest delay is relaxed [s/s]: four times the drift of an ordinary quartz
@@ -54,6 +54,8 @@ class Subscriber:
     mismatched: Callable[[], int]
     """Number of publishers so far whose messages are not received, because they offer a lower
     quality of service than requested."""
+    publishers: Callable[[], list[str]]
+    """Names of the current publishers whose messages are received, in no particular order."""
 
 
 @dataclass
@@ -82,8 +84,10 @@ class Transport(Protocol):
         that request neither still match.
         """
 
-    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
-        """Create a subscriber: keep last 10."""
+    def subscribe(
+        self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
+    ) -> Subscriber:
+        """Create a subscriber: keep last `depth`."""
 
     def topics(self) -> dict[str, str]:
         """Return the topics published by other nodes, with their types."""
@@ -132,14 +136,16 @@ class Subscription(Generic[Value]):
         read: Callable[[Any], Value],
         stamped: bool = True,
         quality: Quality = "reliable",
+        depth: int = DEPTH,
     ) -> None:
         """Messages that are not `stamped` are assigned their arrival time, regardless of their
-        header."""
+        header; `depth` is the length of the queue between two calls of `take`."""
         self.topic = topic
         self.kind = kind
         self._read = read
         self._stamped = stamped
-        self._subscriber = transport.subscribe(topic, kind, quality)
+        self._subscriber = transport.subscribe(topic, kind, quality, depth)
+        self._transport = transport
         self._clock = StampClock()
         self.received = self.refused = self.not_newer = 0
         self.refusal: str | None = None
@@ -170,6 +176,19 @@ class Subscription(Generic[Value]):
         """Return the number of publishers so far whose quality of service is lower than
         requested."""
         return self._subscriber.mismatched()
+
+    def publishers(self) -> list[str]:
+        """Return the names of the current publishers, sorted."""
+        return sorted(self._subscriber.publishers())
+
+    def explain_silence(self, waited_s: float) -> str:
+        """Explain why there has been no usable value for `waited_s` [s], ending with the fix."""
+        there = [f"{topic} ({kind})" for topic, kind in self._transport.topics().items()]
+        return self.refusal or (
+            f"{self.topic}: no {self.kind} within {waited_s:g} s; found "
+            f"{', '.join(there[:20]) or 'nothing'}; start its driver, or correct the topic, the "
+            "domain (ROS_DOMAIN_ID) or the network"
+        )
 
 
 def decode_ros_message(data: bytes, kind: str) -> Any:
@@ -227,7 +246,7 @@ def check_frame(message: Any, frame: str) -> None:
     """Raise ValueError if a message is in another frame; an empty frame means ours."""
     theirs = message.header.frame_id
     if theirs not in ("", frame):
-        raise ValueError(f"its frame is {theirs!r}, but this node's is {frame!r}")
+        raise ValueError(f"its frame is {theirs!r}, expected {frame!r}")
 
 
 def _finite(name: str, value: Any) -> float:

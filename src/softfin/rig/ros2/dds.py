@@ -11,6 +11,7 @@ import functools
 import os
 import time
 from typing import Any
+from uuid import UUID
 
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
@@ -21,7 +22,11 @@ from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
 
 try:
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.builtin import (
+        BuiltinDataReader,
+        BuiltinTopicDcpsParticipant,
+        BuiltinTopicDcpsPublication,
+    )
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.idl import IdlStruct, make_idl_struct, types
@@ -40,6 +45,9 @@ IDL: Any = types
 
 BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
 """ROS 2 types with different names in IDL."""
+
+PROCESS = {"__ProcessName", "__Pid", "__Hostname"}
+"""Properties with which Cyclone DDS describes its process."""
 
 # A slow reader may block a writer for at most half a tick [ns].
 RELIABLE = Policy.Reliability.Reliable(5_000_000)
@@ -161,13 +169,19 @@ class DdsTransport:
 
         return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
 
-    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
+    def subscribe(
+        self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
+    ) -> Subscriber:
         """Create a reader, which keeps the latest messages."""
-        reader: Any = DataReader(self._participant, self._topic(topic, kind), qos=_asked(quality))
+        reader: Any = DataReader(
+            self._participant, self._topic(topic, kind), qos=_asked(quality, depth)
+        )
+        participant = self._participant
+        names: dict[int, str] = {}
 
         def take() -> list[tuple[bytes, float]]:
             try:
-                found = reader.take(DEPTH)
+                found = reader.take(depth)
             except DDSException as error:
                 raise DeviceError(
                     f"{topic}: cannot be read ({one_line(error)}); start softfin again"
@@ -175,8 +189,21 @@ class DdsTransport:
             now = time.monotonic()
             return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
+        def publishers() -> list[str]:
+            handles = reader.get_matched_publications()
+            for handle in handles:
+                endpoint = None
+                if handle not in names:
+                    endpoint = reader.get_matched_publication_data(handle)
+                # A publisher may leave at any time.
+                if endpoint is not None:
+                    names[handle] = _name_participant(participant, endpoint.participant_key)
+            return [names[handle] for handle in handles if handle in names]
+
         return Subscriber(
-            take, lambda: int(reader.get_requested_incompatible_qos_status().total_count)
+            take,
+            lambda: int(reader.get_requested_incompatible_qos_status().total_count),
+            publishers,
         )
 
     def topics(self) -> dict[str, str]:
@@ -207,15 +234,28 @@ class DdsTransport:
             self._participant,
             f"rt{topic}",
             idl_type(kind, self._types, carries=True),
-            qos=_asked("reliable"),
+            qos=_asked("reliable", DEPTH),
         )
 
 
-def _asked(quality: Quality) -> Any:
+def _name_participant(participant: Any, key: UUID) -> str:
+    """Return the process of another participant, or its number in DDS if it does not send the
+    process: only Cyclone DDS does, and DDS does not have the names of ROS 2's nodes."""
+    values: dict[str, str] = {}
+    for other in BuiltinDataReader(participant, BuiltinTopicDcpsParticipant).take(1000):
+        if other.key == key and other.sample_info.valid_data:
+            properties = [item for item in other.qos if isinstance(item, Policy.Property)]
+            values = {item.key: item.value for item in properties}
+    if not values.keys() >= PROCESS:
+        return f"DDS participant {key}"
+    return "{__ProcessName} {__Pid} on {__Hostname}".format_map(values)
+
+
+def _asked(quality: Quality, depth: int) -> Any:
     """Return the quality of service for a reader."""
     return Qos(
         Policy.Reliability.BestEffort if quality == "best_effort" else RELIABLE,
-        Policy.History.KeepLast(DEPTH),
+        Policy.History.KeepLast(depth),
         Policy.Durability.TransientLocal if quality == "latched" else Policy.Durability.Volatile,
         REPRESENTATION,
     )

@@ -30,7 +30,9 @@ from softfin.rig.ros2.connection import (
     read_joint,
     read_wrench,
 )
+from softfin.rig.ros2.simulated import SimulatedTransport
 from softfin.rig.safety import check_target
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import (
     JOINT_STATE,
     SECOND_NS,
@@ -52,9 +54,16 @@ LOCK_S = 0.02
 hangs."""
 
 
-def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
+def open_transport(
+    config: TransportConfig, types: Typestore | None = None, clock: Clock = REAL
+) -> Transport:
     """Open the configured transport (auto: rclpy if installed, otherwise DDS); raises RigError if
-    it is not installed."""
+    it is not installed.
+
+    On a simulated clock, topics are within this process, regardless of the configuration.
+    """
+    if isinstance(clock, SimulatedClock):
+        return SimulatedTransport(clock)
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(
@@ -425,13 +434,7 @@ class Ros2Machine:
             self.clock.sleep(0.002)
         for awaited, value in ((topics.joint, self._joint), (topics.wrench, self._force)):
             if value is None:
-                there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
-                raise DeviceError(
-                    awaited.refusal
-                    or f"{awaited.topic}: no {awaited.kind} within {self.config.wait_s:g} s; "
-                    f"found {', '.join(there[:20]) or 'nothing'}; start its driver, or "
-                    "correct the topic, the domain (ROS_DOMAIN_ID) or the network"
-                )
+                raise DeviceError(awaited.explain_silence(self.config.wait_s))
 
     def _take(self) -> _Topics:
         """Process received messages; raises DeviceError if the machine is closed."""

@@ -77,9 +77,11 @@ class RclpyTransport:
 
         return Publisher(send, lambda: int(publisher.get_subscription_count()))
 
-    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
+    def subscribe(
+        self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
+    ) -> Subscriber:
         """Create a raw subscription, which returns the bytes received."""
-        waiting: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
+        waiting: deque[tuple[bytes, float]] = deque(maxlen=depth)
 
         def take() -> list[tuple[bytes, float]]:
             if self.failure is not None:
@@ -90,11 +92,16 @@ class RclpyTransport:
             _class(kind),
             topic,
             lambda data: waiting.append((bytes(data), time.monotonic())),
-            _asked(quality),
+            _asked(quality, depth),
             raw=True,
         )
+
+        def publishers() -> list[str]:
+            found = self._node.get_publishers_info_by_topic(topic)
+            return [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found]
+
         # rclpy itself warns about publishers with a lower quality of service than requested.
-        return Subscriber(take, lambda: 0)
+        return Subscriber(take, lambda: 0, publishers)
 
     def topics(self) -> dict[str, str]:
         """Return topics and types as in `ros2 topic list -t`, without our own."""
@@ -119,18 +126,18 @@ class RclpyTransport:
             self.failure = one_line(error)
 
 
-def _asked(quality: Quality) -> Any:
+def _asked(quality: Quality, depth: int) -> Any:
     """Return the quality of service for a subscription."""
     qos = importlib.import_module("rclpy.qos")
     if quality == "best_effort":
-        return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+        return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
     if quality == "latched":
         return qos.QoSProfile(
-            depth=DEPTH,
+            depth=depth,
             reliability=qos.ReliabilityPolicy.RELIABLE,
             durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
         )
-    return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.RELIABLE)
+    return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.RELIABLE)
 
 
 def _offered(deadline_s: float | None) -> Any:

@@ -10,7 +10,7 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.emulated_sensor import UDP_PORT, EmulatedLines
 from softfin.rig.devices.lines.parser import LagWatch
-from softfin.rig.devices.lines.sensor import LinesSensor
+from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 from softfin.testing import check_force_sensor
@@ -29,7 +29,7 @@ def bench(rate_hz=320.0, **changes):
         "filter_delay_s": 0.0,
         "frame": "y,-x",
     }
-    sensor = LinesSensor(LinesConfig.build(values | emulated.address() | changes), clock)
+    sensor = lines_sensor(LinesConfig.build(values | emulated.address() | changes), clock)
     try:
         yield emulated, sensor, clock
     finally:
@@ -228,7 +228,9 @@ def test_two_senders_that_double_the_rate_are_refused_with_both_names():
     with (
         bench(columns=("skip", "force_x", "force_y")) as (_, sensor, clock),
         second_sender(clock, LOOPBACK),
-        pytest.raises(RigError, match=r"records come from 127.0.0.1:\d+ and 127.0.0.1:\d+, so two"),
+        pytest.raises(
+            DeviceError, match=r"records come from 127.0.0.1:\d+ and 127.0.0.1:\d+, so two"
+        ),
     ):
         sensor.open()
 

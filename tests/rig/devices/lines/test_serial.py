@@ -5,10 +5,10 @@ import time
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.devices.lines import sensor as lines
+from softfin.rig import streamed_sensor
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
-from softfin.rig.devices.lines.sensor import LinesSensor
+from softfin.rig.devices.lines.sensor import lines_sensor
 from tests import needs
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
@@ -16,7 +16,7 @@ from tests.rig.still_fin import StillFin
 
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch):
-    monkeypatch.setattr(lines, "FIRST_LINE_S", HANG_S)
+    monkeypatch.setattr(streamed_sensor, "FIRST_WAIT_S", HANG_S)
 
 
 def made(over, **changes):
@@ -29,7 +29,7 @@ def made(over, **changes):
         "filter_delay_s": 0.0,
         "frame": "y,-x",
     }
-    return emulated, LinesSensor(LinesConfig.build(values | emulated.address() | changes))
+    return emulated, lines_sensor(LinesConfig.build(values | emulated.address() | changes))
 
 
 @pytest.mark.parametrize("over", ["serial", "udp"])
@@ -39,7 +39,7 @@ def test_forces_arrive_and_a_second_program_is_refused(over):
         sensor.open()
         assert sensor.measured(0.3)[0][:2] == pytest.approx((2.0, -1.0), abs=0.01)
         with pytest.raises((RigError, DeviceError), match=r"in use by another|cannot be opened"):
-            LinesSensor(sensor.config).open()
+            lines_sensor(sensor.config).open()
         sensor.close()
         sensor.open()
         assert sensor.read().wrench[:2] == pytest.approx((2.0, -1.0), abs=0.01)

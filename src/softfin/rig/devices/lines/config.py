@@ -1,13 +1,10 @@
 """Configuration of a sensor that sends lines of text."""
 
-import math
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from softfin.core.quantities import RATE_HZ
-from softfin.rig.device import ForceSensorConfig
-from softfin.rig.filter import BRIDGED_S, design
+from softfin.rig.streamed_sensor import StreamedSensorConfig
 
 WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 """Columns with the wrench, in the order of a wrench."""
@@ -30,7 +27,7 @@ Column = Literal[
 ]
 
 
-class LinesConfig(ForceSensorConfig):
+class LinesConfig(StreamedSensorConfig):
     """A sensor that sends one line per sample, e.g. an Arduino with load cells; set either `port`,
     or `address` and `udp_port`."""
 
@@ -40,12 +37,6 @@ class LinesConfig(ForceSensorConfig):
     """Meaning of each column, e.g. ``[count, force_x, force_y]``: force and torque in the sensor's
     axes, a counter of lines or a time since power-up (as unsigned 32-bit integer, so that losses
     and restarts are noticed), or ``skip``."""
-    rate_hz: float = Field(ge=10, le=1000)
-    """Lines per second; softfin measures the rate when it opens the sensor and rejects a deviation
-    of more than 10%."""
-    filter_delay_s: float = Field(ge=0, le=0.5)
-    """Delay of the sensor's own filter [s], by which softfin corrects the time of the force; no
-    default, because it depends on the converter and its settings."""
     port: str | None = None
     """Serial port, e.g. /dev/ttyACM0."""
     baud: int = Field(115_200, ge=1200, le=4_000_000)
@@ -59,15 +50,6 @@ class LinesConfig(ForceSensorConfig):
     scale: dict[str, float] = Field(default_factory=dict)
     """Newtons (or newton metres) per unit of a column, by its name, e.g. ``force_x: -2.1e-5``;
     1 for other columns."""
-    cutoff_hz: float = Field(30.0, ge=10, le=40)
-    """Cut-off frequency of the anti-alias filter (gain 1/2) [Hz]; not used at 100 lines per second
-    or fewer."""
-
-    @property
-    def is_filtered(self) -> bool:
-        """Whether softfin filters the lines; at a rate below that of the log there is nothing to
-        filter."""
-        return self.rate_hz > RATE_HZ
 
     @property
     def counter(self) -> str | None:
@@ -92,17 +74,3 @@ class LinesConfig(ForceSensorConfig):
         if not all(self.scale.values()):
             raise ValueError("scale must not be 0")
         return self
-
-    def check_stale(self, force_stale_s: float) -> None:
-        """Raise ValueError if the force is usually older than a limit on its age [s]."""
-        filter_s = 0.0
-        if self.is_filtered:
-            filter_s = len(design(self.rate_hz, self.cutoff_hz)) // 2 / self.rate_hz
-        # As for other sensors, the filter may have to refill; and two lines may be lost.
-        needed = self.filter_delay_s + 3 * filter_s + max(2 * BRIDGED_S, 3 / self.rate_hz)
-        if force_stale_s < needed:
-            raise ValueError(
-                f"safety.force_stale_s = {force_stale_s:g}: at {self.rate_hz:g} lines per second "
-                f"and with a delay of {self.filter_delay_s + filter_s:.3f} s, the force may be "
-                f"older; use {math.ceil(100 * needed) / 100:.2f} or more, or a faster sensor"
-            )

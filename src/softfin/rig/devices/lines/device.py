@@ -4,7 +4,7 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.sensor import LinesSensor
+from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.simulated_clock import SimulatedClock
 
@@ -31,4 +31,4 @@ def _emulate(config: LinesConfig, fin: EmulatedFin, clock: Clock) -> EmulatedDev
     return EmulatedLines(fin, config.rate_hz, clock, over=over)
 
 
-LINES = ForceSensorType(LinesConfig, LinesSensor, _emulated_config, _emulate)
+LINES = ForceSensorType(LinesConfig, lines_sensor, _emulated_config, _emulate)

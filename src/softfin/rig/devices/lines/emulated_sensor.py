@@ -9,13 +9,12 @@ import socket
 import tty
 from collections.abc import Callable, Iterable
 
-import numpy as np
-
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
 from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.machine import rotated, rotation
+from softfin.rig.emulated_stream import iterate_due, measure
+from softfin.rig.machine import rotation
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
@@ -23,9 +22,6 @@ UDP_PORT = 47_470
 """Port of an emulated sensor in simulated time."""
 
 EMULATED_COLUMNS = ("count", "force_x", "force_y")
-
-NOISE_N = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 2))
-"""Noise, indexed by the counter [N]; small, so that tests can compare forces."""
 
 
 class EmulatedLines:
@@ -90,24 +86,18 @@ class EmulatedLines:
         self._link.close()
 
     def _run(self) -> None:
-        started = self._clock()
-        sent = 0
-        while not self._closing.wait(max(0.002, 1 / self.rate_hz)):
-            now = self._clock()
-            due = int((now - started) * self.rate_hz) - sent
-            sent += due
-            for _ in range(due):
+        for numbers in iterate_due(self._clock, self._closing, lambda: self.rate_hz):
+            is_silent = self._clock() < self._silent_until
+            for _ in numbers:
                 line = self._measure()
-                for data in self.transmit(line) if now >= self._silent_until else ():
+                for data in () if is_silent else self.transmit(line):
                     with contextlib.suppress(OSError):
                         self._link.send(data)
 
     def _measure(self) -> bytes:
         self.count = (self.count + 1) % 2**32
         if not self.are_values_frozen:
-            x, y = rotated(self._fin.now().wrench, self._rotation)[:2]
-            noise = NOISE_N[self.count % len(NOISE_N)]
-            self._values = (x + noise[0], y + noise[1])
+            self._values = measure(self._fin, self._rotation, self.count)[:2]
         return f"{self.count},{self._values[0]:.6f},{self._values[1]:.6f}\r\n".encode()
 
 

@@ -15,12 +15,10 @@ from softfin.core.errors import DeviceError, one_line
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
+from softfin.rig.streamed_sensor import queue_length
 
 WAIT_S = 0.05
 """Longest wait for data [s]."""
-
-KEPT_S = 2.0
-"""Time after which unread lines are dropped [s]."""
 
 MAX_LINE_BYTES = 1000
 
@@ -132,7 +130,7 @@ class LineReader:
         """`is_cut` if the first bytes may be the rest of a line."""
         self.trouble: str | None = None
         """Error that ended the thread; None while it runs."""
-        self.lines: deque[TimedLine] = deque(maxlen=max(100, round(KEPT_S * rate_hz)))
+        self.lines: deque[TimedLine] = deque(maxlen=queue_length(rate_hz))
         """Lines that have arrived, oldest first."""
         self._transport = transport
         self._rate_hz = rate_hz

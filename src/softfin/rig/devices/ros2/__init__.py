@@ -1,0 +1,1 @@
+"""A force sensor whose driver publishes WrenchStamped messages on a ROS 2 topic."""

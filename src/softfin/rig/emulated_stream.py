@@ -1,0 +1,37 @@
+"""Pace and noise of emulated sensors that stream records."""
+
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.clock import Clock
+from softfin.rig.emulated_fin import EmulatedFin
+from softfin.rig.machine import Wrench, rotated
+
+NOISE_N = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 2))
+"""Noise of force x and y by the number of the record [N]; small, so that tests can compare
+forces."""
+
+
+def iterate_due(
+    clock: Clock, closing: threading.Event, rate_hz: Callable[[], float]
+) -> Iterator[range]:
+    """Yield the numbers of the records that have become due, at a rate that may change, until
+    `closing` is set; record k is due (k + 1) / rate after the start."""
+    started = clock()
+    sent = 0
+    while not closing.wait(max(0.002, 1 / rate_hz())):
+        due = int((clock() - started) * rate_hz())
+        yield range(sent, due)
+        sent = due
+
+
+def measure(fin: EmulatedFin, turn: Float[np.ndarray, "3 3"], number: int) -> Wrench:
+    """Return the fin's wrench now in the axes of a sensor, with the noise of a record [N, N m];
+    `turn` rotates from softfin's axes."""
+    fx, fy, *rest = rotated(fin.now().wrench, turn)
+    noise = NOISE_N[number % len(NOISE_N)]
+    fz, tx, ty, tz = rest
+    return fx + noise[0], fy + noise[1], fz, tx, ty, tz
