@@ -46,8 +46,8 @@ class MapArguments(Configured):
     out: Out
     """Output folder for map.json, the gaits and the figure."""
     clock: Annotated[str, Option("HZ[,S]")] | None = None
-    """Actions per second and window of the gaits [s]; paper for 3,2 (default); auto for the fin's
-    stroke time in its logs."""
+    """Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
+    (default: paper, which is 3,2)."""
 
     def check(self) -> None:
         """Reject a clock that does not exist."""
@@ -100,8 +100,8 @@ class TrainArguments(Configured):
     """Range of target forces [N]: map for all forces that the fin can produce (default), or paper
     for 0.5,-1.5,3.5,1.5."""
     clock: Annotated[str, Option("HZ[,S]")] | None = None
-    """Actions per second and window of the mean force [s]; paper for 3,2 (default); auto for the
-    fin's stroke time in its logs."""
+    """Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
+    (default: paper, which is 3,2)."""
     map: Annotated[Path, folder_option("map")] | None = None
     """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None

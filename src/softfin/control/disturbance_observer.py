@@ -55,7 +55,7 @@ from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
     """Return the weights of the last actions in the window, newest first, by age modulo the length
     of the clock's cycle."""
-    # Actions last differently long, so their weights depend on the phase of the clock.
+    # Actions differ in duration, so their weights depend on the phase of the clock.
     cycle = len(clock.ticks)
     return np.array(
         [

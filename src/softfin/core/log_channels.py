@@ -1,8 +1,8 @@
 """Further channels that a log may contain besides command, angle, velocity and force (x, y).
 
-A channel's name is its column in log files and ends in its unit. These names have a meaning
-everywhere: on the rig, in bags and on import. A log may also contain channels with other names.
-Nothing is learned from further channels.
+A channel's name is its column in log files and ends in its unit. The names below mean the same on
+the rig, in bags and on import; a log may also contain others. softfin does not learn from these
+channels.
 
 The z axis is x cross y, along the shaft. A positive velocity turns the fin against it, from +y to
 +x. The load of the fin on its mount opposes the drive, so torque about z times velocity is the

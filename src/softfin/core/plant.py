@@ -63,8 +63,7 @@ class NoisyPlant(Plant, Protocol):
 
     @property
     def mean_force_noise_n(self) -> float:
-        """Standard deviation of the mean force over 2 s, as measured, about the one that the
-        commands determine [N].
+        """Standard deviation of the measured mean force over 2 s for given commands [N].
 
         White noise averages out over the window, but drift remains.
         """

@@ -43,9 +43,9 @@ SIDE_BY_SIDE = 32
 callers share the compiled program."""
 
 STROKE_SHAPES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
-"""Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions.
-Those are surveyed that fit into the window a whole number of times; of the paper's window these are
-strokes of 0.67 s, 1 s and 2 s."""
+"""Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions. The
+survey uses those that fit into the window a whole number of times: with the paper's clock, strokes
+of 0.67 s, 1 s and 2 s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""

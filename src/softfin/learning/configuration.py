@@ -195,9 +195,9 @@ def choose_preset(
 
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
-    """Return a preset for another clock: numbers of actions change with the rate, so that their
-    durations stay the same, and so does the number of updates. With a longer window, durations are
-    longer by the same factor."""
+    """Adapt a preset to another clock. Numbers of actions are scaled so that their durations stay
+    the same; the number of updates does not change. A longer window scales the durations by the
+    same factor."""
     own = config.task.clock
     ratio = clock.rate_hz / own.rate_hz * max(1, clock.window_ticks / own.window_ticks)
     cycle = len(clock.ticks)

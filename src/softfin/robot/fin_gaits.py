@@ -36,7 +36,8 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     amplitude.
 
     Raises:
-        PlantError: the drive limits the angle, or fewer than two amplitudes are left.
+        PlantError: the tank does not have the default range of angles, or fewer than two
+            amplitudes are left.
     """
     if tank.limits[:2] != PAPER_LIMITS[:2]:
         raise PlantError(

@@ -131,9 +131,9 @@ def _noise_warning(out: Path, surrogate: Plant, logs: Sequence[Log]) -> str | No
     if measured_n**2 >= 2 * noise_n**2:
         return None
     return (
-        f"{out}: the mean force over 2 s has a noise of {noise_n:.2g} N (with drift and the error "
-        f"of the fit), more than the force in the logs ({measured_n:.2g} N rms with noise); use a "
-        "more sensitive force sensor or faster strokes, record more logs, or fit longer"
+        f"{out}: noise hides the force: the mean force over 2 s in the logs is {measured_n:.2g} N "
+        f"rms, but this includes noise of {noise_n:.2g} N (with drift and the error of the fit); "
+        "use a more sensitive force sensor or faster strokes, record more logs, or fit longer"
     )
 
 

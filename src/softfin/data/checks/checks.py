@@ -51,9 +51,10 @@ OFFSET_SHARE = 0.2
 force."""
 
 COUNTS_FIX = (
-    f"--angles {DYNAMIXEL_UNIT} --angle-zero {CENTER} for a Dynamixel of the X series that rests "
-    f"at {CENTER}; for another drive, convert them in the file: angle = (count - count at rest) * "
-    "2 * pi / counts per turn; velocities are also in the drive's own unit"
+    f"--angles {DYNAMIXEL_UNIT} --angle-zero {CENTER} for a Dynamixel of the X series whose "
+    f"zero is at {CENTER}; for another drive, convert the counts in the file: angle = (count - "
+    "count at angle 0) * 2 * pi / counts per turn; convert the velocities from the drive's unit as "
+    "well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 
@@ -392,10 +393,9 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
                 f"{limits.angle_max:.3g} rad and do not include 0"
             )
             fix = (
-                f"if the fin cannot point along -x, its experiments start at "
-                f"{limits.rest_angle:.3g} rad; otherwise measure angles from there: on a rig, turn "
-                "the fin there and run softfin rig zero --arm; in logs, subtract the offset from "
-                "the angle and its command"
+                f"if the fin cannot point along -x, ignore this: its experiments start at "
+                f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
+                "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
             )
             yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
     steps = []

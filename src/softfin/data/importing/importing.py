@@ -56,7 +56,7 @@ class ImportConfig(Configuration):
     ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. ``dynamixel`` means
     the registers of the X series (default: from the column names, or rad)."""
     angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
-    """Value of the angle columns at the fin's rest position, in their unit, e.g. 2048."""
+    """Value of the angle columns at angle 0, in their unit, e.g. 2048."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
     units: dict[FurtherKind, str] = pydantic.Field(default_factory=dict)

@@ -36,8 +36,8 @@ RPM = 2 * math.pi / 60
 """One revolution per minute [rad/s]."""
 
 DYNAMIXEL_UNIT = "dynamixel"
-"""Unit of values as in the registers of a Dynamixel of the X series. That of the current differs
-between the models, so it is called by the model's name."""
+"""Unit of raw register values of a Dynamixel of the X series. The unit of the current depends on
+the model, so the model's name is used as its unit."""
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},

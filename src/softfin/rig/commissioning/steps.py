@@ -170,9 +170,9 @@ def check_range(config: RigConfig) -> None:
     low, high, *_ = config.drive.limits
     if not low <= -SMALL_RAD < SMALL_RAD <= high:
         raise ConfigurationError(
-            f"commissioning: swings the fin by at least {SMALL_RAD:g} rad to both sides of angle "
-            f"0, but its range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
-            "angle_max_rad, or carry out the steps of docs/commissioning.md by hand"
+            f"commissioning: the fin must swing at least {SMALL_RAD:g} rad to both sides of angle "
+            f"0, but the rig's range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
+            "drive.angle_max_rad, or carry out the steps of docs/commissioning.md by hand"
         )
 
 

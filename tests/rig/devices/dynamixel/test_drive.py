@@ -389,7 +389,7 @@ def test_a_port_that_is_unplugged_is_told():
 def test_a_missing_servo_is_told():
     with bench() as made:
         made.servo.silence()
-        with pytest.raises(RigError, match="no servo answers as ID 7 on simulated"):
+        with pytest.raises(RigError, match="simulated: no servo with ID 7 "):
             made.drive.open()
 
 

@@ -25,7 +25,7 @@ class DynamixelConfig(DriveConfig):
 
     port: str
     """Serial port, e.g. /dev/ttyUSB0; each fin needs its own, because any instruction on a port
-    keeps all of its servos moving."""
+    restarts the bus watchdogs of all its servos."""
     model: Literal[tuple(MODELS)]  # type: ignore[valid-type]
     """Model; no default, because the unit of the current depends on it."""
     id: int = Field(ge=0, le=252)
@@ -51,8 +51,8 @@ class DynamixelConfig(DriveConfig):
 
     @property
     def watchdog(self) -> int:
-        """Value of the bus watchdog; one unit less than `heartbeat_s`, because we do not know
-        whether the servo notices the end of a unit only at that of the next."""
+        """Value of the bus watchdog: one unit less than `heartbeat_s`, because the servo may
+        react up to one unit late (unknown)."""
         return math.floor(self.heartbeat_s / WATCHDOG_UNIT_S + 1e-6) - 1
 
     @model_validator(mode="after")

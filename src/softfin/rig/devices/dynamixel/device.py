@@ -38,8 +38,8 @@ def _emulated_config(
     if limits is not None:
         if limits.rest_angle != 0:
             raise ConfigurationError(
-                f"tank: its angles, {limits.angle_min:g} to {limits.angle_max:g} rad, exclude 0, "
-                "where a Dynamixel is zeroed; use --drive epos2"
+                f"tank: its range of angles, {limits.angle_min:g} to {limits.angle_max:g} rad, "
+                "must contain 0 for an emulated Dynamixel; use --drive epos2"
             )
         values |= {
             "angle_min_rad": limits.angle_min,

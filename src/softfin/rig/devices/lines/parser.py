@@ -12,15 +12,15 @@ REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
 
 MAX_LAG_S = 0.05
-"""Increase of the delay between sensor and computer that is a fault [s]: the loop's limit on the
-age of a force cannot see it."""
+"""Increase of the delay between sensor and computer that counts as a fault [s]; the loop's limit on
+the age of a force does not detect it."""
 
 LAGGING_S = 0.5
 """Time for which every line must be that late [s]; single late ones are bridged."""
 
 CLOCK_ERRORS = {"count": 0.05, "time_ms": 0.01, "time_us": 0.01}
-"""Largest relative error of the sensor's clock; a delay that grows no faster cannot be told from
-it. The clock of a counter is its rate, which is measured in half a second."""
+"""Largest relative error of the sensor's clock; a delay that grows more slowly cannot be
+distinguished from it. For a counter, the clock is its rate, which is measured for half a second."""
 
 
 class Record(NamedTuple):

@@ -127,8 +127,8 @@ class LineSource:
             )
         if self._lag.is_lagging:
             lines.append(
-                f"its lines arrive {self._lag.lag_s:.2f} s later than before, so they fill a "
-                "buffer; send fewer or shorter lines, or increase baud, then start again"
+                f"its lines arrive {self._lag.lag_s:.2f} s later than at first, because they wait "
+                "in a buffer; send fewer or shorter lines, or increase baud, then start again"
             )
         if self._malformed_in_a_row >= MALFORMED_RECORDS:
             lines.append(
