@@ -43,7 +43,8 @@ def train_controllers(
         return {seeds[0]: out}
     if not out.exists():
         preset, _ = choose_preset(find_plant(str(surrogate)))
-        train(str(surrogate), out, partial(fit_to_reach, for_clock(preset, clock)), seeds=seeds)
+        make_config = partial(fit_to_reach, for_clock(preset, clock))
+        train(str(surrogate), out, make_config, seeds=seeds, resume=True)
     if len(seeds) == 1:
         return {seeds[0]: out}
     return {seed: out / f"seed-{seed}" for seed in seeds}

@@ -13,7 +13,10 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig, score_controller
-from softfin.learning.configuration import fit_to_reach, for_clock
+from softfin.gaits.gait import FinForces, GaitTable
+from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.simulate import gait_families
+from softfin.learning.configuration import check, fit_to_reach, for_clock
 from softfin.stages.controllers import train
 from tests.plants import StrokeFin
 from tests.stages.test_training import PPO, QUICK
@@ -57,6 +60,24 @@ def test_an_experiment_shorter_than_the_window_is_refused(tmp_path: Path) -> Non
     config = EvaluateConfig(seconds=6, seeds=1, references=((1, 0),))
     with pytest.raises(ConfigurationError, match=r"seconds = 6: too short .*; use at least 7"):
         score_controller(controller, StrokeFin(), config)
+
+
+def test_a_map_of_another_clock_is_refused_by_every_algorithm() -> None:
+    clock = ActionClock.at(6, 1)
+    table = GaitTable.over(Cell(low=(0, -1), high=(2, 1)), 1.0, 6)
+    reachable = Reachable(np.zeros(2, np.float32), np.ones(8, np.float32))
+    forces = FinForces(reachable, table, ActionClock())
+    for preset in (QUICK, PPO):
+        config = for_clock(preset, clock)
+        with pytest.raises(ConfigurationError, match=r"its clock .* differs from that of the"):
+            check(StrokeFin(), config, (0,), forces)
+
+
+def test_windows_of_an_odd_number_of_actions_are_surveyed_with_strokes() -> None:
+    for waveform, _ in gait_families(ActionClock.at(5, 1)):
+        assert waveform.shape == (5,)
+    waveforms = {tuple(waveform) for waveform, _ in gait_families(ActionClock.at(5, 1))}
+    assert (1.0, -1.0, 1.0, -1.0, 0.0) in waveforms
 
 
 def test_durations_of_a_preset_do_not_depend_on_the_clock() -> None:

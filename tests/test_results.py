@@ -174,7 +174,7 @@ def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_i
     spec.loader.exec_module(study)
     trained = []
 
-    def train(plant, out, make_config, seeds):
+    def train(plant, out, make_config, seeds, resume):
         trained.append(tuple(seeds))
 
     def score(controller, out, seed):

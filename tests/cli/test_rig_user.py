@@ -132,6 +132,21 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     )
 
 
+def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
+    def held(force):
+        sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (force,) + (0.0,) * 5, ())
+        return ActionResult((1.0, 0.0), Target(0.0, 1.0), [sample] * 33)
+
+    forces = [5.0] * 4 + [1.0] * 3 + [0.0] * 3
+    monkeypatch.setattr(driving, "run_controller", lambda *_: map(held, forces))
+    machine = FreeFin()
+    session = Session(machine, Guard(SafetyConfig(), machine.limits))
+    loaded = load_controller(controller)
+    result = driving._follow(session, loaded, lambda at: (1.0, 0.0), (0.0, 0.0), None)
+    assert result["error_x_n"] == pytest.approx(0.5)
+    assert result["window_s"] == 2
+
+
 def test_a_file_is_never_written_through_a_link_that_stands_in_its_way(tmp_path, monkeypatch):
     victim = tmp_path / "victim"
     victim.write_text("mine")

@@ -116,3 +116,11 @@ def test_a_controller_that_misses_its_targets_is_not_written_without_a_warning()
     assert missed_targets([near, near]) == []
     (warning,) = missed_targets([near, far, far])
     assert warning.startswith("warning: the errors are 88% of the target forces")
+
+
+def test_gaits_of_a_map_have_their_own_clock(tmp_path: Path) -> None:
+    words = TrainArguments(
+        surrogate="tank", out=tmp_path / "x", controller="gaits", map=tmp_path, clock="6,1"
+    )
+    with pytest.raises(ConfigurationError, match=r"--clock 6,1: the gaits of --map have a clock"):
+        words.check()

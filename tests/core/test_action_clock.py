@@ -42,6 +42,11 @@ def test_a_window_that_is_no_whole_number_of_cycles_is_refused() -> None:
         ActionClock.build({"window_actions": 4})
 
 
+def test_a_window_of_one_action_is_refused():
+    with pytest.raises(ConfigurationError, match=r"window_actions = 1: .*use a longer window"):
+        ActionClock.at(1, 1)
+
+
 def test_the_actions_that_start_within_a_time() -> None:
     assert [PAPER_CLOCK.actions_within(ticks) for ticks in (1, 33, 34, 66, 67, 100, 101)] == [
         1, 1, 2, 2, 3, 3, 4,

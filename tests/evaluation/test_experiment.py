@@ -6,7 +6,7 @@ import pytest
 
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
-from softfin.core.quantities import Command
+from softfin.core.quantities import Command, Limits
 from softfin.evaluation.experiment import ExperimentRecording, independent, run
 from softfin.evaluation.scores import judged_force, score
 from tests.plants import AnalyticFin, Flapper, MisreadFin, PlainFin
@@ -57,6 +57,14 @@ def test_each_action_sees_the_last_reading_and_the_first_sees_rest(recording):
     np.testing.assert_allclose(
         seen[..., 1:], recording.reading.angle[..., ENDS[:-1] - 1], atol=1e-6
     )
+
+
+def test_a_fin_whose_range_excludes_0_is_seen_at_its_rest():
+    fin = PlainFin()
+    fin.limits = Limits(0.5, 1.5, 1.0, 3.0)
+    recording = run(Echo(), fin, REFERENCES, 1, KEYS)
+    seen = np.asarray(recording.command.angle[..., 0]) - 0.1 * REFERENCES[:, :1]
+    np.testing.assert_allclose(seen, 0.5, atol=1e-6)
 
 
 def test_each_experiment_has_its_own_reference(recording):

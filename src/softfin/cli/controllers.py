@@ -1,6 +1,7 @@
 """Commands that produce or export controllers: ``map``, ``train`` and ``export``."""
 
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -132,6 +133,10 @@ class TrainArguments(Configured):
                     f"--cells {self.cells}: {self.controller} has no cells; use --range, or "
                     "--controller grid"
                 )
+        if self.controller == "gaits" and self.map is not None and self.clock is not None:
+            raise ConfigurationError(
+                f"--clock {self.clock}: the gaits of --map have a clock already; omit --clock"
+            )
         trained = ("algorithm", "seeds", "steps", "resume", "engine", "cluster")
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
@@ -278,7 +283,10 @@ def asked_clock(text: str | None, plant: str) -> "ActionClock":
 
     if text is None:
         return PAPER_CLOCK
-    return propose_clock(plant) if text == AUTO else ActionClock.parse(text)
+    clock = propose_clock(plant) if text == AUTO else ActionClock.parse(text)
+    # The window may have been rounded.
+    sys.stderr.write(f"clock: {clock}\n")
+    return clock
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:

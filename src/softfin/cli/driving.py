@@ -127,7 +127,8 @@ class Driving(Armed, Common):
         errors = f"({result['error_x_n']}, {result['error_y_n']})"
         self.tell(
             result,
-            f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s {errors} N",
+            f"{result['bag']}: {result['seconds']:.1f} s, error over the last "
+            f"{result['window_s']:g} s {errors} N",
         )
 
 
@@ -194,7 +195,7 @@ def _follow(
     clock = controller.clock
     actions = None if seconds is None else clock.actions_within(seconds * RATE_HZ)
     for result in run_controller(session, controller, references, actions, zero):
-        window = [*window[len(window) + 1 - clock.window_actions :], result]
+        window = [*window, result][-clock.window_actions :]
         x, y = mean_force([sample for each in window for sample in each.samples])
         x = x - zero[0]
         y = y - zero[1]
@@ -218,6 +219,7 @@ def _follow(
     errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
     return {
         "seconds": ticks / RATE_HZ,
+        "window_s": clock.window_ticks / RATE_HZ,
         "error_x_n": round(errors[0], 4),
         "error_y_n": round(errors[1], 4),
     }

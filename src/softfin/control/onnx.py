@@ -101,6 +101,7 @@ def _metadata(controller: LoadedController) -> JsonObject:
         "kind": controller.kind,
         "action_rate_hz": controller.clock.rate_hz,
         "action_ticks_of_10_ms": list(controller.clock.ticks),
+        "window_actions": controller.clock.window_actions,
         "limits": controller.limits.to_dict(),
         "cells_n": [{"low": list(cell.low), "high": list(cell.high)} for cell in controller.cells],
         "reachable": artifact.description.get("reachable"),
@@ -108,7 +109,8 @@ def _metadata(controller: LoadedController) -> JsonObject:
         "fin": artifact.fin,
         "force_frame": FORCE_FRAME,
         "inputs": {
-            "angle": "angle of the shaft, the last reading [rad]; 0 before the first",
+            "angle": "angle of the shaft, the last reading [rad]; before the first, "
+            "the angle at rest",
             "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; "
             "not used yet",
             "reference": "(x, y), mean force to hold [N]",

@@ -36,7 +36,12 @@ class ActionClock(Configuration):
     """Number of actions in the window: a motion that repeats with it causes no ripple."""
 
     @model_validator(mode="after")
-    def _is_whole(self) -> "ActionClock":
+    def _is_valid(self) -> "ActionClock":
+        if self.window_actions < 2:
+            raise ValueError(
+                f"window_actions = {self.window_actions}: a gait of one action does not move; use "
+                "a longer window or a higher rate"
+            )
         if self.window_actions % len(self.ticks):
             raise ValueError(
                 f"window_actions = {self.window_actions}: the window must be a whole number of "

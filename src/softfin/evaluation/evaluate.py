@@ -11,11 +11,12 @@ import numpy as np
 import pydantic
 from jaxtyping import Array, Key
 
-from softfin.control.controller import Controller
+from softfin.control.controller import Controller, controller_clock
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
 from softfin.control.references import default_references, reachable_set, resolve_reference
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.core.randomness import named_key
@@ -25,6 +26,7 @@ from softfin.evaluation.experiment import (
     EvaluationTarget,
     ExperimentRecording,
     independent,
+    min_seconds,
     run_together,
 )
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
@@ -205,7 +207,8 @@ def score_controller(
     """Run and score all experiments; errors are relative to the tracked reference.
 
     Raises CoverageError for references for which the controller was not trained, and with
-    `config.strict` also for unreachable references.
+    `config.strict` also for unreachable references, and ConfigurationError if the experiments are
+    too short for the controller's clock.
     """
     reachable = reachable_set(controller)
     if not config.references:
@@ -224,6 +227,12 @@ def score_controller(
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
     keys = config.keys()
     seconds = config.seconds
+    clock = controller_clock(controller)
+    if seconds < min_seconds(clock):
+        raise ConfigurationError(
+            f"seconds = {seconds}: too short for this controller's clock ({clock}); use at least "
+            f"{min_seconds(clock)}"
+        )
     experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
     constant, *moving = run_together(controller, plant, experiments, keys)
     evaluation = score_experiments(constant, plant, config)

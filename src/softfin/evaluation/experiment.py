@@ -6,6 +6,7 @@ References may be constant or moving. All references and seeds run in parallel i
 program, which records every tick of 10 ms.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from softfin.control.controller import Controller, ControllerState, Measured, controller_clock
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
-from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.errors import PlantError
 from softfin.core.plant import (
     Plant,
     State,
@@ -34,8 +35,9 @@ MIN_SECONDS = 3
 
 
 def min_seconds(clock: ActionClock) -> int:
-    """Return the shortest experiment [s]: the first window, and up to a second of further ones."""
-    return clock.window_ticks // RATE_HZ + 1
+    """Return the shortest experiment [s]: the first window and up to a second of further ones, and
+    two whole actions in its second half."""
+    return max(clock.window_ticks // RATE_HZ + 1, math.ceil(4 * clock.max_ticks / RATE_HZ))
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
@@ -118,20 +120,11 @@ def run_together(
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration [s]; on a simulated plant, all run
-    in one program.
-
-    Raises ConfigurationError if one is too short for a window of the controller's clock.
-    """
+    in one program."""
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
-    clock = controller_clock(controller)
-    shortest = min(seconds for _, seconds in series)
-    if shortest < min_seconds(clock):
-        raise ConfigurationError(
-            f"seconds = {shortest}: too short for this controller's clock ({clock}); use at least "
-            f"{min_seconds(clock)}"
-        )
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
+    clock = controller_clock(controller)
     actions = clock.actions_within(max(seconds for _, seconds in series) * RATE_HZ)
     # Tick at which each action starts and the controller observes the reference.
     starts = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
@@ -218,8 +211,9 @@ def _program(
         return (memory, state, measured), (held, reading, true_force)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
-        # The first action is computed before the first reading, as if angle and force were 0.
-        carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
+        # The first action is computed before the first reading, as if the fin were at rest.
+        rest = Measured(jnp.float32(plant.limits.rest_angle), jnp.zeros(2))
+        carry = (controller.init(), plant.init(key), rest)
         _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(clock.action_ticks(actions))))
         recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
         return recorded

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
 
-from softfin.core.quantities import AXES, RATE_HZ, AnyArray
+from softfin.core.quantities import AXES, RATE_HZ, TICK_S, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving_references import MovingScores
@@ -92,7 +92,7 @@ def _draw_experiment(
             "--",
             color=BLACK,
             linewidth=1.6,
-            label="moving average over 2 s",
+            label=f"moving average over {window * TICK_S:g} s",
         )
         axes.axhline(
             float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9
@@ -172,7 +172,7 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
             "--",
             color=BLACK,
             linewidth=1.6,
-            label="moving average of the force over 2 s",
+            label=f"moving average of the force over {window * TICK_S:g} s",
         )
         axes.set(ylabel=f"mean {AXES[axis]} [N]")
     for axis, colour in enumerate((BLUE, GREY)):

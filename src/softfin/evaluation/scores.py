@@ -240,13 +240,9 @@ def score_uncertainty(
     commands = Command(jnp.asarray(angle[:, 0]), jnp.asarray(velocity[:, 0]))
     ensemble = cast(EnsemblePlant, jit_argument(plant))
     distance, force = map(np.asarray, _run_members(ensemble, commands))
-    # (members, references, windows, 2): the interval is on the mean force over one window.
-    means = np.stack(
-        [
-            moving_average(member, recording.clock.window_ticks)
-            for member in np.moveaxis(force, 2, 0)
-        ]
-    )
+    # (members, references, windows, 2): the interval is calibrated for means over 2 s, whatever the
+    # clock of the controller.
+    means = np.stack([moving_average(member, PAPER_WINDOW) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
     return SurrogateUncertainty(
         (distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1)

@@ -1,4 +1,4 @@
-/* The closed loop: a controller acts on a plant on the 33/33/34 clock; what is measured is kept for a while. */
+/* The closed loop: a controller acts on a plant on its own clock; what is measured is kept for a while. */
 
 const KEPT = 1000;
 
@@ -39,7 +39,7 @@ class Loop {
   constructor(plants, plant, controller, reference) {
     Object.assign(this, { plants, plant, reference, time: 0 });
     this.averages = Object.fromEntries(Object.keys(plants).map((name) => [name, new MovingWindow(WINDOW)]));
-    this.memberAverages = Object.fromEntries(Object.entries(plants).map(([name, each]) => [name, (each.members || []).map(() => new MovingWindow(WINDOW))]));
+    this.memberAverages = Object.fromEntries(Object.entries(plants).map(([name, each]) => [name, (each.members || []).map(() => new MovingWindow(INTERVAL_WINDOW))]));
     // Of the last window, for the plants that know their distance from their training data.
     this.distances = Object.fromEntries(Object.entries(plants).filter(([, each]) => each.distance).map(([name]) => [name, []]));
     this.readings = {};
@@ -52,10 +52,16 @@ class Loop {
     Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
   }
 
+  /* Where a fin rests [rad]: at 0, or at the end of its range that is closest to it. */
+  restAngle() {
+    const { angle_min_rad: low, angle_max_rad: high } = this.controller.limits;
+    return Math.min(Math.max(0, low), high);
+  }
+
   tick() {
     if (this.left === 0) {
       const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
-      this.command = this.controller.act(reading ? reading.angle : 0, this.sum.map((value) => value / ticks), this.reference);
+      this.command = this.controller.act(reading ? reading.angle : this.restAngle(), this.sum.map((value) => value / ticks), this.reference);
       [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], [0, 0]];
       this.action++;
     }

@@ -2,6 +2,8 @@
  * weights were rounded to single precision when they were written. */
 
 const TICK_S = 0.01;
+/* Samples of the mean forces for which a surrogate's interval is calibrated. */
+const INTERVAL_WINDOW = 200;
 /* The clock of the page's controllers; the paper's until they are known. */
 let ACTION_TICKS, WINDOW_ACTIONS, WINDOW, ACTION_RATE_HZ;
 

@@ -85,6 +85,9 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
     if not waveforms:
         # One stroke per window.
         waveforms = [np.cos(2 * np.pi * np.arange(count) / count)]
+    if count % 2:
+        # Strokes to both sides, and a pause.
+        waveforms.append(np.append(np.resize((1.0, -1.0), count - 1), 0.0))
     return tuple(product(waveforms, VELOCITIES))
 
 

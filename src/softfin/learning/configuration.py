@@ -317,7 +317,7 @@ def check(
         return
     check_usable(plant, forces.reachable)
     _check_reach(config.cells, forces.reachable)
-    if config.begins_as_gaits and forces.gaits is not None and forces.clock != task.clock:
+    if forces.gaits is not None and forces.clock != task.clock:
         raise ConfigurationError(
             f"map: its clock ({forces.clock}) differs from that of the training ({task.clock}); "
             "use the same --clock for softfin map and softfin train"

@@ -75,7 +75,7 @@ def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figur
                 axes.plot(steps, values.T, color=colour, linewidth=0.5, alpha=0.5)
                 name = f"{name}, mean of {len(curves)}"
             axes.plot(steps, values.mean(axis=0), line, color=colour, label=name)
-        axes.set(xlabel="environment steps (actions at 3 Hz)", ylabel=quantity)
+        axes.set(xlabel="environment steps (actions)", ylabel=quantity)
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.legend()
     return figure

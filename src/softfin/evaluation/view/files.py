@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from softfin.core.canvas import with_canvas
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.quantities import AXES, RATE_HZ, TICK_S
 from softfin.evaluation.view.footage import Footage, choose_scale, max_sizes
 from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
 from softfin.gaits.reachable import force_decimals
@@ -77,6 +77,7 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         .render(
             title=title,
             shape_known=footage.shape_known,
+            window_s=f"{footage.clock.window_ticks * TICK_S:g}",
             asked=footage.reference is not None,
             force_known=footage.true_force is not None,
             footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
