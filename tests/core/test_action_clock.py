@@ -17,7 +17,7 @@ def test_the_clock_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [2, 2.5, 3, 4, 5, 6, 7, 8, 9, 10])
-@pytest.mark.parametrize("window_s", [0.5, 1, 2])
+@pytest.mark.parametrize("window_s", [1, 1.2, 2])
 def test_actions_differ_by_at_most_a_tick_and_fill_the_window(
     rate_hz: float | int, window_s: float | int
 ) -> None:

@@ -67,7 +67,9 @@ class ActionClock(Configuration):
         ends = [int(ticks_per_action * (action + 1)) for action in range(count)]
         ticks = tuple(end - start for start, end in zip([0, *ends[:-1]], ends, strict=True))
         cycles = max(1, round(window_s * RATE_HZ / ends[-1]))
-        return cls(ticks=ticks, window_actions=cycles * count)
+        return cls.build(
+            {"ticks": ticks, "window_actions": cycles * count}, f"clock {rate_hz:g} Hz"
+        )
 
     @classmethod
     def for_strokes(cls, stroke_s: float | int) -> "ActionClock":

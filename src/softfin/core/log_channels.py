@@ -9,6 +9,17 @@ The z axis is x cross y, along the shaft. A positive velocity turns the fin agai
 power that the drive delivers to the fin.
 """
 
+LOG_COLUMNS = (
+    "time_s",
+    "command_angle_rad",
+    "command_velocity_rad_s",
+    "angle_rad",
+    "velocity_rad_s",
+    "force_x_n",
+    "force_y_n",
+)
+"""Columns that every log file has; a channel must have another name."""
+
 LOAD_CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_nm")
 """Load of the fin on its mount, in the order of a wrench: force along z [N] and torque about x, y
 and z [N m]. The last one is the torque about the shaft."""

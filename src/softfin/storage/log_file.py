@@ -13,22 +13,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from softfin.core.errors import LogError, one_line
+from softfin.core.log_channels import LOG_COLUMNS
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FILES, IN_FILE, check_file_format
 
-NUMBER_COLUMNS = (
-    "command_angle_rad",
-    "command_velocity_rad_s",
-    "angle_rad",
-    "velocity_rad_s",
-    "force_x_n",
-    "force_y_n",
-)
-
 # float64: a float32 cannot resolve 10 ms after 36 hours, nor Unix time (1.7e9 s) at all.
 SCHEMA = pa.schema(
-    [pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBER_COLUMNS)],
+    [pa.field(name, pa.float64() if name == "time_s" else pa.float32()) for name in LOG_COLUMNS],
     metadata={IN_FILE: str(FILES["log"].number)},
 )
 
