@@ -280,6 +280,20 @@ def test_one_torque_of_two_is_not_read(tmp_path, columns):
     assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
 
 
+@pytest.mark.parametrize(
+    ("torque_y", "keep", "kept"),
+    [([None] * 6000, "", {}), ([0.2] * 6000, "torque_y_nm=torque_y_nm", {"torque_y_nm": 0.2})],
+)
+def test_a_torque_whose_other_axis_is_empty_or_kept_unturned_is_not_read(
+    tmp_path, columns, torque_y, keep, kept
+):
+    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": torque_y}
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv", keep=keep)
+    assert means(recording) == kept
+    assert "'torque_x_nm'" in recording.issues[0].message
+
+
 def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):
     table = columns | {
         "current": np.full(6000, 20.0),

@@ -11,7 +11,13 @@ from jaxtyping import Float
 
 from softfin.core.errors import LogError, one_line
 from softfin.data.importing.clocks import Part, Recording, Track
-from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
+from softfin.data.importing.columns import (
+    Column,
+    choose_columns,
+    converted,
+    describe_columns,
+    without_single_torque,
+)
 from softfin.data.importing.importing import FURTHER_KINDS, ImportConfig
 from softfin.data.importing.names import FURTHER, KINDS, UNITS, read_name
 from softfin.data.issues import Issue
@@ -39,6 +45,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         # A column of text with the name of a further channel is some other thing.
         if channel in found and not _is_numeric(table.column(found[channel].name).type):
             del found[channel]
+    found = without_single_torque(found)
     numbers = {}
     units = {}
     for channel, column in found.items():
