@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -67,8 +69,7 @@ def test_channels_come_back_from_a_bag_as_they_were(tmp_path, log):
     names = (*KNOWN_CHANNELS, "temperature_c", "flow rate [l/s]")
     channels = dict(zip(names, random, strict=True))
     write_log(tmp_path / "one.parquet", log._replace(channels=channels))
-    keep = ImportConfig.build({"keep": "temperature_c,flow rate [l/s]"})
-    convert(tmp_path / "one.parquet", tmp_path / "one.mcap", keep)
+    convert(tmp_path / "one.parquet", tmp_path / "one.mcap")
     found = by_rosbags(tmp_path / "one.mcap")
     assert found == by_mcap_ros2(tmp_path / "one.mcap")
     assert found[CURRENT][10][1] == channels["current_a"][10]
@@ -83,6 +84,22 @@ def test_channels_come_back_from_a_bag_as_they_were(tmp_path, log):
     assert set(back.channels) == set(channels)
     for name, values in back.channels.items():
         np.testing.assert_array_equal(values, channels[name])
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("temp a", "temp-a"), "channels 'temp a' and 'temp-a' would both be temp_a in a bag;"),
+        (("current_a", "current a"), "channels 'current_a' and 'current a' would both be"),
+        (("torque nm", "torque_nm"), "channels 'torque nm' and 'torque_nm' would both be"),
+        (("time",), "channel 'time': in a bag, every log has time; rename it"),
+        (("angle",), "channel 'angle': in a bag"),
+        (("angle-rad",), "channel 'angle-rad': in a bag, every log has angle_rad"),
+    ],
+)
+def test_channels_that_a_bag_would_lose_are_refused(log, names, words):
+    with pytest.raises(LogError, match=re.escape(f"one: {words}")):
+        encode_bag(log._replace(channels=dict.fromkeys(names, np.zeros(1000))), "one")
 
 
 def test_a_log_with_some_loads_has_no_others_after_a_bag(tmp_path, log):

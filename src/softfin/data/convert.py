@@ -15,6 +15,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.names import CHANNELS
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import (
@@ -26,7 +27,7 @@ from softfin.storage.bag.messages import (
     WRENCH,
     BagWriter,
 )
-from softfin.storage.log_file import write_log
+from softfin.storage.log_file import SCHEMA, write_log
 
 
 def convert(
@@ -69,17 +70,19 @@ def convert(
 
 
 def encode_bag(log: Log, source: str) -> bytes:
-    """Encode a log as a bag; raises LogError, which names `source`, for times before 1970."""
+    """Encode a log as a bag; raises LogError, which names `source`, for times before 1970 and for
+    channels that would be lost."""
     time = np.asarray(log.reading.time, np.float64)
     if len(time) and time.min() < 0:
         raise LogError(
             f"{source}: time_s starts at {time.min():g} s; a bag cannot store negative times; add "
             "a constant to time_s"
         )
+    names = _channel_topics(log, source)
     channels = dict(log.channels)
     # As from a sensor, a load that was not measured is zero.
     loads = [channels.pop(name, np.zeros(len(time))) for name in LOAD_CHANNELS]
-    topics = {_channel_topic(name): values for name, values in channels.items()}
+    topics = {names[channel]: values for channel, values in channels.items()}
     sink = io.BytesIO()
     bag = BagWriter(sink, [topic for topic in topics if topic != CURRENT])
     rows = np.stack([*log.columns, *loads, *topics.values()], axis=1)
@@ -94,8 +97,21 @@ def encode_bag(log: Log, source: str) -> bytes:
     return sink.getvalue()
 
 
-def _channel_topic(name: str) -> str:
-    if name == CURRENT_CHANNEL:
-        return CURRENT
-    # ROS allows no other characters in the name of a topic.
-    return CHANNEL_TOPICS + re.sub(r"[^A-Za-z0-9_]", "_", name)
+def _channel_topics(log: Log, source: str) -> dict[str, str]:
+    """Return the topic of each channel; raises LogError for channels that would be lost."""
+    channels: dict[str, str] = {}
+    for channel in log.channels:
+        # ROS allows no other characters in the name of a topic.
+        name = re.sub(r"[^A-Za-z0-9_]", "_", channel)
+        if name in (*CHANNELS, *SCHEMA.names):
+            raise LogError(
+                f"{source}: channel {channel!r}: in a bag, every log has {name}; rename it"
+            )
+        if name in channels:
+            raise LogError(
+                f"{source}: channels {channels[name]!r} and {channel!r} would both be {name} in a "
+                "bag; rename one of them"
+            )
+        channels[name] = channel
+    topics = {channel: CHANNEL_TOPICS + name for name, channel in channels.items()}
+    return topics | {CURRENT_CHANNEL: CURRENT}

@@ -236,6 +236,8 @@ def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suf
     if suffix == ".csv":
         write_csv(path, table)
     else:
+        # Not softfin's own file, whose other columns are all channels.
+        table["time [s]"] = table.pop("time_s")
         pq.write_table(pa.table(table), path)
     (recording,) = read(path)
     assert means(recording) == WRENCH | {"current_a": 0.5}
@@ -245,24 +247,41 @@ def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suf
     assert unread.message == "columns not read: 'Temp', 'valve', 'torque'"
 
 
+def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tmp_path, columns):
+    others = {"Temp": np.full(6000, 21.5), "valve": np.full(6000, 1), "time": np.full(6000, 3.0)}
+    others |= {"torque_nm": np.full(6000, 0.3), "note": ["text"] * 6000}
+    table = pa.table(columns | others)
+    pq.write_table(table, tmp_path / "own.parquet")
+    (recording,) = read(tmp_path / "own.parquet", keep="temperature_c=Temp", columns="torque=-")
+    assert means(recording) == {"temperature_c": 21.5, "valve": 1.0}
+    assert recording.issues[0].message == "columns not read: 'time', 'torque_nm', 'note'"
+    pq.write_table(table.drop_columns(["velocity_rad_s"]), tmp_path / "other.parquet")
+    (recording,) = read(tmp_path / "other.parquet")
+    assert means(recording) == {"torque_nm": 0.3}
+    doubled = table.append_column("valve", table.column("valve"))
+    pq.write_table(doubled, tmp_path / "doubled.parquet")
+    with pytest.raises(LogError, match="duplicate column 'valve'; rename one of them"):
+        read(tmp_path / "doubled.parquet")
+
+
 def test_unknown_columns_are_kept_on_request(tmp_path, columns):
-    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
-    (recording,) = read(tmp_path / "run.parquet", keep="temperature_c=Temp, valve")
+    write_csv(tmp_path / "run.csv", with_further(columns))
+    (recording,) = read(tmp_path / "run.csv", keep="temperature_c=Temp, valve")
     assert means(recording) == WRENCH | {"current_a": 0.5, "temperature_c": 21.5, "valve": 1.0}
-    (recording,) = read(tmp_path / "run.parquet", keep="torque_nm=torque")
+    (recording,) = read(tmp_path / "run.csv", keep="torque_nm=torque")
     assert means(recording)["torque_nm"] == 7.0
 
 
 def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
-    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
-    (recording,) = read(tmp_path / "run.parquet", force="y,-x")
+    write_csv(tmp_path / "run.csv", with_further(columns))
+    (recording,) = read(tmp_path / "run.csv", force="y,-x")
     assert means(recording) == WRENCH | {
         "torque_x_nm": 0.2,
         "torque_y_nm": -0.1,
         "current_a": 0.5,
     }
     # A mirrored sensor faces the other way.
-    (recording,) = read(tmp_path / "run.parquet", force="y,x", negate="current")
+    (recording,) = read(tmp_path / "run.csv", force="y,x", negate="current")
     assert means(recording) == {
         "force_z_n": -2.0,
         "torque_x_nm": 0.2,
@@ -275,9 +294,23 @@ def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
 def test_one_torque_of_two_is_not_read(tmp_path, columns):
     table = with_further(columns)
     del table["Ty [mNm]"]
-    pq.write_table(pa.table(table), tmp_path / "run.parquet")
-    (recording,) = read(tmp_path / "run.parquet")
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv")
     assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("torque_y", "keep", "kept"),
+    [([None] * 6000, "", {}), ([0.2] * 6000, "torque_y_nm=torque_y_nm", {"torque_y_nm": 0.2})],
+)
+def test_a_torque_whose_other_axis_is_empty_or_kept_unturned_is_not_read(
+    tmp_path, columns, torque_y, keep, kept
+):
+    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": torque_y}
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv", keep=keep)
+    assert means(recording) == kept
+    assert "'torque_x_nm'" in recording.issues[0].message
 
 
 def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):

@@ -61,9 +61,6 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     decided = {*found, *config.columns, *stated}
     taken = [*found.values(), *config.keep.values()]
     found |= _recognized_columns(names, taken, decided, config, source)
-    # A torque about one axis of the sensor is not enough to turn it into softfin's axes.
-    if len({"torque_x", "torque_y"} & found.keys()) == 1:
-        found = {channel: found[channel] for channel in found if channel[:-1] != "torque_"}
     settled = {*found, *stated, "velocity"}
     if missing := [channel for channel in CHANNELS if channel not in settled]:
         raise _missing_error(names, missing, source)
@@ -73,6 +70,17 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
             unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
             columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
     return columns
+
+
+def without_single_torque(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the columns without a torque about x or y that lacks the other one: it cannot be turned
+    into softfin's axes."""
+    is_single = len({"torque_x", "torque_y"} & columns.keys()) == 1
+    return {
+        channel: column
+        for channel, column in columns.items()
+        if not (is_single and channel[:-1] == "torque_")
+    }
 
 
 def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:

@@ -11,11 +11,18 @@ from jaxtyping import Float
 
 from softfin.core.errors import LogError, one_line
 from softfin.data.importing.clocks import Part, Recording, Track
-from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
+from softfin.data.importing.columns import (
+    OWN_NAMES,
+    Column,
+    choose_columns,
+    converted,
+    describe_columns,
+    without_single_torque,
+)
 from softfin.data.importing.importing import FURTHER_KINDS, ImportConfig
-from softfin.data.importing.names import FURTHER, KINDS, UNITS, read_name
+from softfin.data.importing.names import CHANNELS, FURTHER, KINDS, UNITS, read_name
 from softfin.data.issues import Issue
-from softfin.storage.log_file import read_parquet
+from softfin.storage.log_file import SCHEMA, read_parquet
 from softfin.storage.paths import CSV
 
 
@@ -31,6 +38,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     else:
         table = read_parquet(path)
         names = table.schema.names
+        _check_duplicates(names, path)
         found = choose_columns(names, config, str(path))
     rows = table.num_rows
     if not rows:
@@ -39,6 +47,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         # A column of text with the name of a further channel is some other thing.
         if channel in found and not _is_numeric(table.column(found[channel].name).type):
             del found[channel]
+    found = without_single_torque(found)
     numbers = {}
     units = {}
     for channel, column in found.items():
@@ -48,10 +57,13 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
-    for kept, column_name in config.keep.items():
+    keep = config.keep
+    if path.suffix.lower() not in CSV:
+        keep = _own_channels(table.schema, found, config) | keep
+    for kept, column_name in keep.items():
         values[kept] = _numbers(table.column(column_name), column_name, path)
     whole = Track(time, values)
-    issues = tuple(_notes(name, names, found, config))
+    issues = tuple(_notes(name, names, found, keep, config))
     length = config.rows_per_log or rows
     if length >= rows:
         return [Recording(name, part, (whole,), issues)]
@@ -65,8 +77,29 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     return recordings
 
 
+def _own_channels(
+    schema: pa.Schema, found: dict[str, Column], config: ImportConfig
+) -> dict[str, str]:
+    """Return the channels of softfin's own log that are not among the columns found or kept: its
+    other numeric columns, under their own names."""
+    if not set(SCHEMA.names) <= set(schema.names):
+        return {}
+    read = {*(column.name for column in found.values()), *config.keep.values()}
+    # A column with a name of softfin's own that was not found is not meant to be read.
+    settled = {*read, *OWN_NAMES, *CHANNELS}
+    return {
+        field.name: field.name
+        for field in schema
+        if field.name not in settled and _is_numeric(field.type)
+    }
+
+
 def _notes(
-    name: str, names: list[str], found: dict[str, Column], config: ImportConfig
+    name: str,
+    names: list[str],
+    found: dict[str, Column],
+    keep: dict[str, str],
+    config: ImportConfig,
 ) -> list[Issue]:
     """Note which columns and units were used, unless the names are softfin's own, and which options
     and columns were not used."""
@@ -90,7 +123,7 @@ def _notes(
             f"command_velocity = {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
-    read = {*(column.name for column in found.values()), *config.keep.values()}
+    read = {*(column.name for column in found.values()), *keep.values()}
     if unused := [column for column in names if column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
         notes.append(Issue("note", "unread columns", name, text, _unit_fix(unused)))
@@ -131,9 +164,13 @@ def _read_header(path: Path) -> tuple[list[str], str]:
             f"{path}: no header: the first line contains numbers ({line.strip()[:60]}); add a line "
             "with the column names above it"
         )
+    _check_duplicates(names, path)
+    return names, delimiter
+
+
+def _check_duplicates(names: list[str], path: Path) -> None:
     if twice := [name for name in names if names.count(name) > 1]:
         raise LogError(f"{path}: duplicate column {twice[0]!r}; rename one of them")
-    return names, delimiter
 
 
 def _read_csv(

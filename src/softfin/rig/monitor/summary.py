@@ -23,7 +23,8 @@ MAX_CHARACTERS = 300
 """Maximum number of characters of an event's text that are shown."""
 
 WINDOW_S = PAPER_CLOCK.window_ticks * TICK_S
-"""Averaging window of the mean force [s]; the same as in an evaluation."""
+"""Averaging window of the mean force [s], for every action clock: a recording does not contain its
+clock."""
 
 MAX_NUMBER = 1e100
 """Largest plausible number in any unit; larger ones come from damaged data and may have infinite

@@ -63,7 +63,8 @@ def test_a_counter_that_goes_back_is_a_restart():
 
 def test_times_count_lines_by_the_rate_and_late_prints_lose_nothing():
     counter = LineCounter(config(columns=["time_ms", "force_x", "force_y"], rate_hz=100, scale={}))
-    assert [counter.steps(number) for number in (1000, 1010, 1012, 1030, 1030)] == [1, 1, 1, 2, 0]
+    assert [counter.steps(number) for number in (1000, 1010, 1012, 1030, 1030)] == [1, 1, 1, 1, 0]
+    assert [counter.steps(number) for number in (1040, 1070, 1080)] == [1, 3, 1]
 
 
 def test_without_a_counter_every_line_is_the_next_one():

@@ -120,6 +120,35 @@ def test_a_growing_lag_ages_the_force():
         assert sensor.counters()["sensor_late"] == 0
 
 
+def test_a_driver_that_stamps_its_messages_in_pairs_loses_none():
+    with bench(125.0) as (emulated, sensor, clock):
+        waiting = []
+
+        def in_pairs(message):
+            waiting.append(message)
+            if len(waiting) < 2:
+                return ()
+            first, second = waiting
+            waiting.clear()
+            # Equal stamps would mean a doubled message.
+            return first._replace(stamp_ns=second.stamp_ns - 100_000), second
+
+        emulated.transmit = in_pairs
+        sensor.open()
+        lost = sensor.counters()["sensor_lost"]
+        # The first message may be the second one of a pair.
+        assert lost <= 1
+        reading = run(sensor, clock, 2.0)
+        assert sensor.counters()["sensor_lost"] == lost
+        assert sensor.complaints() == ()
+        assert clock() - reading.force_time < 0.1
+        emulated.transmit = lambda message: ()
+        clock.sleep(0.1)
+        emulated.transmit = in_pairs
+        run(sensor, clock, 0.1)
+        assert sensor.counters()["sensor_lost"] - lost in (11, 12, 13)
+
+
 @pytest.mark.parametrize("speed", [0.5, 0.85])
 def test_a_clock_that_is_too_slow_is_refused(speed):
     with bench() as (emulated, sensor, clock):

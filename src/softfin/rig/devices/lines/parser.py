@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesConfig
+from softfin.rig.loss_estimate import LossEstimate
 
 REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
@@ -72,6 +73,7 @@ class LineCounter:
         self.total = 0
         """Increase of the counter or of the time since the first line, in its own unit."""
         self._rate_hz = config.rate_hz
+        self._loss = LossEstimate(config.rate_hz)
         self._column = config.counter
         self._newest: int | None = None
 
@@ -91,8 +93,7 @@ class LineCounter:
             seconds = change * COUNTERS[self._column or "count"]
             steps = round(seconds * self._rate_hz)
             if change > 0:
-                # Lines that are printed late follow each other quickly.
-                steps = max(1, steps)
+                steps = 1 + self._loss.missing(seconds)
         if steps < -REORDERED_LINES:
             self.has_restarted = True
             steps = 1

@@ -15,6 +15,7 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.rig.device import CheckResult
 from softfin.rig.devices.ros2.config import TopicSensorConfig
+from softfin.rig.loss_estimate import LossEstimate
 from softfin.rig.machine import Wrench
 from softfin.rig.ros2.connection import (
     Subscription,
@@ -61,6 +62,7 @@ class TopicSource:
 
     def _reset(self) -> None:
         self.lost = 0
+        self._loss = LossEstimate(self.config.rate_hz)
         self._newest: float | None = None
         """Time of the latest message [s]."""
         self._unusable_in_a_row = 0
@@ -203,8 +205,7 @@ class TopicSource:
         """Return a record with the number of messages that are missing before it."""
         missing = 0
         if self._newest is not None:
-            # Messages that are stamped late follow each other quickly.
-            missing = max(0, round((time - self._newest) * self.config.rate_hz) - 1)
+            missing = self._loss.missing(time - self._newest)
         self._newest = time
         self.lost += missing
         return TimedWrench(np.array(wrench), missing, time)

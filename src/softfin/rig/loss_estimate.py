@@ -1,0 +1,43 @@
+"""Number of records that are missing from an evenly sampled stream, by the times of the others."""
+
+import math
+
+SHORTEST_CREDIT = 0.5
+"""Credit that is due to jitter or to the error of the rate, not to a record that came early."""
+
+CREDIT_RECORDS = 32
+"""Number of records after which credit that none of them needed expires; no driver sends more at
+once."""
+
+
+class LossEstimate:
+    """Estimates losses from times that may be late: records that wait for each other are stamped in
+    a burst, and the gap before the next burst is no loss.
+
+    A record that follows early earns credit for the next gap. The credit is zero again once the
+    records are on time, so that an error of the rate does not add up.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._credit = 0.0
+        """Number of records by which the stream is ahead of its rate."""
+        self._lowest = math.inf
+        """Lowest credit since it was last checked for expiry."""
+        self._num_records = 0
+        """Number of records since then."""
+
+    def missing(self, elapsed_s: float) -> int:
+        """Return how many records are missing before the one that is `elapsed_s` later than its
+        predecessor."""
+        self._credit += 1 - elapsed_s * self._rate_hz
+        missing = max(0, round(-self._credit))
+        if self._credit < SHORTEST_CREDIT:
+            self._credit = 0.0
+        self._lowest = min(self._lowest, self._credit)
+        self._num_records += 1
+        if self._num_records == CREDIT_RECORDS:
+            self._credit -= self._lowest
+            self._lowest = math.inf
+            self._num_records = 0
+        return missing
