@@ -35,6 +35,7 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
         drive_serial=drive.serial,
         heartbeat_s=config.drive.heartbeat_s,
         host_node=config.drive.host,
+        drive=_identify(config, drive.serial),
         faulted_after_s=round(faulted_after_s, 4),
     )
     save_record(config.file, record.model_copy(update={"stop_proof": proof}))
@@ -50,13 +51,28 @@ def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None
         return None
     proof = load_record(config.file).stop_proof
     # With another drive, timeout or node number, the drive may react differently.
-    settings = (drive_serial, config.drive.heartbeat_s, config.drive.host)
-    if proof is not None and (proof.drive_serial, proof.heartbeat_s, proof.host_node) == settings:
+    settings = (
+        drive_serial,
+        config.drive.heartbeat_s,
+        config.drive.host,
+        _identify(config, drive_serial),
+    )
+    if proof is not None and settings == (
+        proof.drive_serial,
+        proof.heartbeat_s,
+        proof.host_node,
+        proof.drive,
+    ):
         return proof
     problem = "no proof yet that its drive stops if softfin dies"
     if proof is not None:
         problem += " with this drive, heartbeat_s and host_node"
     raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
+
+
+def _identify(config: RigConfig, drive_serial: int | None) -> str | None:
+    """Return what identifies a drive without a serial number; None for one that has it."""
+    return f"{config.drive.type}, {config.drive.summary}" if drive_serial is None else None
 
 
 def proving_command(file: Path) -> str:

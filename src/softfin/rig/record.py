@@ -28,6 +28,8 @@ class StopProof(Configuration):
     """Value of `drive.heartbeat_s` during the test [s]."""
     host_node: int | None = Field(ge=1, le=127)
     """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
+    drive: str | None = None
+    """Type and settings that identify a drive without a serial number."""
     faulted_after_s: float = Field(ge=0)
     """Time from the last heartbeat to the drive's fault [s]."""
 

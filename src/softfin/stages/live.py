@@ -351,10 +351,11 @@ def _log_names(config: CollectConfig) -> list[str]:
 def _drop_addresses(configuration: JsonObject) -> JsonObject:
     """Return the configuration without the addresses of its devices."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
-    if "sensor" in kept:
-        kept["sensor"] = {
-            name: value for name, value in kept["sensor"].items() if not is_address(name)
-        }
+    for device in ("drive", "sensor"):
+        if device in kept:
+            kept[device] = {
+                name: value for name, value in kept[device].items() if not is_address(name)
+            }
     return kept
 
 

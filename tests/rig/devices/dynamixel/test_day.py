@@ -6,7 +6,10 @@ import pytest
 import yaml
 
 from softfin.cli import main
+from softfin.core.errors import RigError
+from softfin.rig.config import load_rig
 from softfin.rig.emulation.rig import rigs
+from softfin.rig.prove import check_proof
 from softfin.rig.record import load_record
 from tests.control.folders import folder_option
 
@@ -30,6 +33,12 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     main(["rig", "check", *options, "--prove", "--arm", "--yes"])
     proof = load_record(rig).stop_proof
     assert 0.1 <= proof.faulted_after_s <= 0.15
+    for changed in ({"id": 9}, {"model": "XH430-V350"}):
+        rig.write_text(yaml.safe_dump(values | {"drive": values["drive"] | changed}))
+        with pytest.raises(RigError, match="no proof yet that its drive stops"):
+            check_proof(load_rig(rig), None)
+    rig.write_text(yaml.safe_dump(values))
+    assert check_proof(load_rig(rig), None) == proof
     main(["rig", "zero", *options, "--arm", "--yes"])
     capsys.readouterr()
     # The next command starts from the state file: the servo has kept its zero.

@@ -129,6 +129,31 @@ def test_a_horn_too_far_from_the_middle_cannot_be_zeroed():
         assert made.servo.get(protocol.HOMING_OFFSET) == 0
 
 
+def test_an_offset_that_the_servo_ignores_is_no_zero():
+    with bench() as made:
+        made.servo.set(protocol.HOMING_OFFSET, 1500)
+        made.drive.open()
+        assert not made.drive.referenced
+        with pytest.raises(RigError, match="never been zeroed"):
+            made.drive.enable()
+        made.drive.zero()
+        assert made.drive.referenced
+        assert made.drive.read_angle() == pytest.approx(0.0, abs=0.002)
+
+
+def test_a_zero_that_failed_is_no_zero(monkeypatch):
+    with bench() as made:
+        made.drive.open()
+        place = made.servo._position
+        monkeypatch.setattr(
+            made.servo, "_position", lambda angle: place(angle) + 137 * bool(made.drive.referenced)
+        )
+        with pytest.raises(DeviceError, match="after zeroing instead of 2048"):
+            made.drive.zero()
+        assert made.servo.get(protocol.HOMING_OFFSET) == 0
+        assert not made.drive.referenced
+
+
 def test_a_fin_outside_its_range_is_not_powered():
     with bench(zero_needed=False) as made:
         made.fin.move(1.7, 10.0)
@@ -478,6 +503,19 @@ def test_a_servo_that_is_powered_is_refused_and_switched_off():
         assert made.servo.get(TORQUE) == 0
         assert made.fin.now().velocity == 0.0
         assert made.fin.now().angle - angle < 0.4
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_that_answers_little_is_braked_and_switched_off(level):
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.1)
+        made.servo.set(protocol.STATUS_RETURN_LEVEL, level)
+        angle = made.fin.now().angle
+        Dynamixel(made.drive.config, made.clock).switch_off()
+        assert made.servo.get(TORQUE) == 0
+        # One missing answer later than a servo that answers everything.
+        assert made.fin.now().angle - angle < 0.5
 
 
 def test_a_servo_that_is_powered_again_or_silent_is_not_off():

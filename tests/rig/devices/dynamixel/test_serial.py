@@ -125,6 +125,7 @@ def died(command, death, servo):
             )
         )
         if not servo._fin.now().velocity:
+            assert servo.get(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED, "the host ended"
             return False
         host.send_signal(death)
         wait_until(lambda: servo._fin.now().velocity == 0)

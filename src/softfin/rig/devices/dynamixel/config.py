@@ -46,8 +46,8 @@ class DynamixelConfig(DriveConfig):
 
     @property
     def summary(self) -> str:
-        """The model."""
-        return str(self.model)
+        """The model and ID."""
+        return f"{self.model}, ID {self.id}"
 
     @property
     def watchdog(self) -> int:

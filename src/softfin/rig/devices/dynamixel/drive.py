@@ -219,10 +219,11 @@ class Dynamixel:
         off."""
         status = self._new_status()
         before = self.link.read(protocol.HOMING_OFFSET)
+        applied = before if _is_applied(before) else 0
         # An offset of 0 means that the fin has never been zeroed; 1 is an error of 0.09 degrees.
-        offset = CENTER - (status.position - before) or 1
-        if abs(offset) > protocol.MAX_HOMING_OFFSET:
-            degrees = 360 * (status.position - before) / TICKS_PER_TURN
+        offset = CENTER - (status.position - applied) or 1
+        if not _is_applied(offset):
+            degrees = 360 * (status.position - applied) / TICKS_PER_TURN
             raise RigError(
                 f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
                 "90 degrees of the middle, 180, when the fin is at zero"
@@ -231,6 +232,8 @@ class Dynamixel:
         self._homing_offset = offset
         position = self._new_status().position
         if abs(position - CENTER) > ZERO_TOLERANCE:
+            setup.write(self.link, protocol.HOMING_OFFSET, before)
+            self._homing_offset = before
             raise DeviceError(
                 f"servo is at {position} after zeroing instead of {CENTER}; hold the fin "
                 "still and try again"
@@ -268,6 +271,7 @@ class Dynamixel:
         try:
             # Not exclusively, because the program that powered it may hang.
             self.link.open(exclusive=False)
+            setup.answer_everything(self.link)
             # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
             # power the motor.
             self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
@@ -360,7 +364,8 @@ class Dynamixel:
     def referenced(self) -> bool:
         """Whether the fin has ever been zeroed; the servo keeps the zero when it is switched
         off."""
-        return bool(self._homing_offset)
+        offset = self._homing_offset
+        return bool(offset) and _is_applied(offset)
 
     @property
     def stop_unconfirmed(self) -> str | None:
@@ -638,3 +643,9 @@ class Dynamixel:
                     return True
             self.clock.sleep(TICK_S)
         return False
+
+
+def _is_applied(homing_offset: int) -> bool:
+    """Return whether a servo applies its homing offset; in position mode, it ignores larger
+    ones."""
+    return abs(homing_offset) <= protocol.MAX_HOMING_OFFSET

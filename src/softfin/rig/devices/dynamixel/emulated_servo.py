@@ -264,8 +264,11 @@ class EmulatedServo:
             self.set(entry, value)
 
     def _position(self, angle: float) -> int:
-        offset = MOUNTED_TICKS + self.get(protocol.HOMING_OFFSET)
-        return self._units.position(angle) + offset
+        offset = self.get(protocol.HOMING_OFFSET)
+        # In position mode, a servo ignores a larger one.
+        if abs(offset) > protocol.MAX_HOMING_OFFSET:
+            offset = 0
+        return self._units.position(angle) + MOUNTED_TICKS + offset
 
     def _write(self, request: bytes) -> Refusal | None:
         (address,) = struct.unpack("<H", request[:2])

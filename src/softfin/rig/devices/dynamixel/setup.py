@@ -27,8 +27,8 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
         number, firmware = link.ping()
     except DeviceError as error:
         raise RigError(
-            f"{config.port}: no servo with ID {config.id} ({error}); check the supply, the cable "
-            "and the baud rate, and that no other device on this port has this ID"
+            f"{config.port}: no servo with ID {config.id} ({error}; also check that no "
+            "other device on this port has this ID)"
         ) from None
     expected = MODELS[config.model].number
     if number != expected:
