@@ -25,7 +25,7 @@ def test_values_that_must_not_be_guessed_have_no_default():
         with pytest.raises(ConfigurationError, match=name):
             DynamixelConfig.build({key: VALUES[key] for key in VALUES if key != name})
     config = DynamixelConfig.build(VALUES)
-    assert config.summary == "XM430-W350"
+    assert config.summary == "XM430-W350, ID 1"
     assert not config.NEEDS_BUS
     assert config.host is None
 

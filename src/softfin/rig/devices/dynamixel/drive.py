@@ -365,7 +365,7 @@ class Dynamixel:
         """Whether the fin has ever been zeroed; the servo keeps the zero when it is switched
         off."""
         offset = self._homing_offset
-        return bool(offset) and _is_applied(offset)
+        return offset is not None and offset != 0 and _is_applied(offset)
 
     @property
     def stop_unconfirmed(self) -> str | None:
