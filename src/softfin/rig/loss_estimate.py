@@ -2,7 +2,7 @@
 
 import math
 
-SHORTEST_CREDIT = 0.5
+MIN_CREDIT = 0.5
 """Credit that is due to jitter or to the error of the rate, not to a record that came early."""
 
 CREDIT_RECORDS = 32
@@ -12,7 +12,7 @@ once."""
 
 class LossEstimate:
     """Estimates losses from times that may be late: records that wait for each other are stamped in
-    a burst, and the gap before the next burst is no loss.
+    a burst, and nothing is lost in the gap before the next burst.
 
     A record that follows early earns credit for the next gap. The credit is zero again once the
     records are on time, so that an error of the rate does not add up.
@@ -32,7 +32,7 @@ class LossEstimate:
         predecessor."""
         self._credit += 1 - elapsed_s * self._rate_hz
         missing = max(0, round(-self._credit))
-        if self._credit < SHORTEST_CREDIT:
+        if self._credit < MIN_CREDIT:
             self._credit = 0.0
         self._lowest = min(self._lowest, self._credit)
         self._num_records += 1

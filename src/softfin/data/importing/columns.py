@@ -73,8 +73,8 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
 
 
 def without_single_torque(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the columns without a torque about x or y that lacks the other one: it cannot be turned
-    into softfin's axes."""
+    """Return the columns without a torque about x or y that lacks the other one, because it cannot
+    be turned into softfin's axes."""
     is_single = len({"torque_x", "torque_y"} & columns.keys()) == 1
     return {
         channel: column

@@ -63,10 +63,16 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     for kept, column_name in keep.items():
         values[kept] = _numbers(table.column(column_name), column_name, path)
     whole = Track(time, values)
-    issues = tuple(_notes(name, names, found, keep, config))
-    length = config.rows_per_log or rows
+    recording = Recording(name, part, (whole,), tuple(_notes(name, names, found, keep, config)))
+    return _split_rows(recording, config.rows_per_log or rows)
+
+
+def _split_rows(recording: Recording, length: int) -> list[Recording]:
+    """Split a recording of one track into pieces with `length` rows."""
+    name, part, (whole,), issues = recording
+    rows = len(whole.time)
     if length >= rows:
-        return [Recording(name, part, (whole,), issues)]
+        return [recording]
     recordings = []
     for start in range(0, rows, length):
         end = min(start + length, rows)
