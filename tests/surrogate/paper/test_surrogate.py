@@ -51,7 +51,7 @@ def test_after_an_action_it_remembers_the_ticks_that_were_held(ticks):
         jnp.linspace(-1, 1, window),
     )
     command = Command(jnp.float32(0.7), jnp.float32(2.0))
-    held, _ = plant.hold_action(past, command, ticks)
+    held, _ = plant.hold_action(past, command, ticks, 34)
     expected, _ = plant.advance(past, command, ticks)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), held, expected)
     # What one tick more would leave behind is something else.
