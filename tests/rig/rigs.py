@@ -137,5 +137,5 @@ def patient() -> Iterator[None]:
     judged then."""
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.devices.axia80.sensor.SILENT_S", 2.0)
-        patches.setattr("softfin.rig.devices.lines.sensor.SILENT_S", 2.0)
+        patches.setattr("softfin.rig.streamed_sensor.SILENT_S", 2.0)
         yield

@@ -223,7 +223,7 @@ def test_a_weight_beyond_the_force_limit_is_refused_before_the_step(site, weight
 @pytest.mark.parametrize(("low", "high"), [(0.2, 1.2), (-1.5, -0.3), (-0.2, 1.2)])
 def test_a_fin_that_cannot_swing_about_angle_0_is_refused_before_any_step(site, low, high):
     site.values["drive"] |= {"angle_min_rad": low, "angle_max_rad": high}
-    with pytest.raises(ConfigurationError, match=rf"its range is {low} to {high} rad; widen drive"):
+    with pytest.raises(ConfigurationError, match=rf"range is {low} to {high} rad; widen drive"):
         site.run(1)
     assert site.operator.asked == []
 
@@ -403,7 +403,7 @@ class TestCommand:
     ):
         ends = []
 
-        def powered(*_):
+        def powered(*_, **__):
             try:
                 signal.raise_signal(signal.SIGTERM)
             finally:

@@ -1,6 +1,7 @@
 """A whole day at an emulated rig whose force sensor sends lines."""
 
 import json
+import re
 
 import pytest
 import yaml
@@ -52,7 +53,8 @@ def pass_a_day(rig, tmp_path, capsys):
     capsys.readouterr()
     main(["rig", "check", *told, "--json"])
     rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
-    assert rows["force sensor"]["text"].startswith("lines, 320/s, delay ")
+    # In real time, the measured rate depends on the computer.
+    assert re.match(r"lines, [23]\d\d/s, delay ", rows["force sensor"]["text"])
     assert {row["state"] for row in rows.values()} <= {"well", "note"}
     data = tmp_path / "data"
     counts = ["--logs", "1", "--test-logs", "1", "--rows", "300"]
