@@ -151,6 +151,16 @@ def test_an_offset_that_the_servo_ignores_is_no_zero():
         assert made.drive.read_angle() == pytest.approx(0.0, abs=0.002)
 
 
+def test_an_offset_that_the_servo_ignores_does_not_shift_its_targets():
+    with bench(zero_needed=False) as made:
+        made.servo.set(protocol.HOMING_OFFSET, 1500)
+        made.drive.open()
+        made.drive.enable()
+        made.drive.command(Target(0.5, 1.0))
+        made.loop(1.0)
+        assert made.drive.read().angle == pytest.approx(0.5, abs=0.02)
+
+
 def test_a_zero_that_failed_is_no_zero(monkeypatch):
     with bench() as made:
         made.drive.open()
