@@ -116,7 +116,14 @@ class Notes:
     def command(self, time: float, angle: float, velocity: float) -> None:
         self.rows.append("command")
 
-    def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
+    def joint(
+        self,
+        time: float,
+        angle: float,
+        velocity: float,
+        current: float | None,
+        voltage: float | None,
+    ) -> None:
         self.rows.append("joint")
 
     def wrench(self, time: float, wrench: tuple[float, ...]) -> None:

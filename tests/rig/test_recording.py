@@ -35,6 +35,14 @@ def test_a_session_is_recorded_whole(tmp_path):
     }
 
 
+def test_the_voltage_is_recorded_if_it_is_measured(tmp_path):
+    made = Made()
+    made.machine.altered = lambda sample: sample._replace(voltage=12.5)
+    with made.session as session, session.recording(tmp_path / "run.mcap"):
+        session.activate()
+    assert counts_of(tmp_path / "run.mcap")["/fin/channels/voltage_v"] == 10
+
+
 def test_the_reason_of_a_stop_is_in_the_bag_and_the_bag_is_closed(tmp_path):
     made = Made()
     with made.session as session:

@@ -51,6 +51,7 @@ def test_nothing_is_wrong_with_a_fin_that_is_well():
         ({"peak": (0.0, 31.0, 0.0, 0.0, 0.0, 0.0)}, "force_peak", ("31.00", "30 N")),
         ({"peak": (0.0, 0.0, 0.0, 0.0, 0.0, 5.5)}, "torque_peak", ("5.50", "5 N m")),
         ({"peak": (float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0)}, "reading", ("finite",)),
+        ({"voltage": float("nan")}, "reading", ("finite",)),
         ({"wrench": (0.0, 0.0, 0.0, 0.0, -5.1, 0.0)}, "torque_peak", ("5.10", "5 N m")),
         ({"current": -4.1}, "current_peak", ("4.10", "4 A")),
         ({"time": 49.9}, "angle_stale", ("100 ms", "50 ms", "cable")),

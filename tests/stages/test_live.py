@@ -243,7 +243,7 @@ def test_a_collection_goes_on_only_with_the_same_sensor_setup(setting, was, valu
             two_logs(changed, tmp_path / "data", resume=True)
 
 
-def test_a_collection_goes_on_with_the_sensor_at_another_address(tmp_path):
+def test_a_collection_goes_on_with_drive_and_sensor_at_other_addresses(tmp_path):
     with emulated() as (_, robot):
         stopped_in_the_second_log(robot, tmp_path / "data")
         sensor = robot.configuration["sensor"] | {
@@ -251,7 +251,10 @@ def test_a_collection_goes_on_with_the_sensor_at_another_address(tmp_path):
             "http_port": 8080,
             "rdt_port": 50000,
         }
-        moved = dataclasses.replace(robot, configuration=robot.configuration | {"sensor": sensor})
+        # A Dynamixel's serial adapter may get another port.
+        drive = robot.configuration["drive"] | {"port": "/dev/ttyUSB1"}
+        devices = {"drive": drive, "sensor": sensor}
+        moved = dataclasses.replace(robot, configuration=robot.configuration | devices)
         assert len(two_logs(moved, tmp_path / "data", resume=True).train) == 2
 
 

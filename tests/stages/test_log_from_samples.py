@@ -94,24 +94,28 @@ def test_a_wider_gap_may_be_allowed():
     )
 
 
-def test_the_rest_of_the_wrench_and_the_current_become_channels():
+def test_the_rest_of_the_wrench_current_and_voltage_become_channels():
     def loaded(sample):
         x, y, *_ = sample.wrench
         level = sample.force_time - 50
         return sample._replace(
-            wrench=(x, y, 1 + level, 2 + level, 0.0, 4 + level), current=sample.time - 49
+            wrench=(x, y, 1 + level, 2 + level, 0.0, 4 + level),
+            current=sample.time - 49,
+            voltage=sample.time - 38,
         )
 
     log = log_from_samples(list(map(loaded, samples())), issued((49.9, 0.3)), ROWS)
     grid = 0.01 * np.arange(ROWS)
     # A sensor that does not measure a load reports it as zero.
-    assert sorted(log.channels) == ["current_a", "force_z_n", "torque_nm", "torque_x_nm"]
+    starts = {"current_a": 1, "force_z_n": 1, "torque_nm": 4, "torque_x_nm": 2, "voltage_v": 12}
+    assert sorted(log.channels) == sorted(starts)
     after = slice(4, None)
-    for name, start in (("force_z_n", 1), ("torque_x_nm", 2), ("torque_nm", 4), ("current_a", 1)):
+    for name, start in starts.items():
         assert log.channels[name].dtype == np.float32
         np.testing.assert_allclose(log.channels[name][after], start + grid[after], atol=1e-4)
 
 
-def test_a_current_that_is_not_always_measured_is_left_out():
-    some = [one._replace(current=0.1 if k else None) for k, one in enumerate(samples())]
+@pytest.mark.parametrize("quantity", ["current", "voltage"])
+def test_a_current_or_voltage_that_is_not_always_measured_is_left_out(quantity):
+    some = [one._replace(**{quantity: 0.1 if k else None}) for k, one in enumerate(samples())]
     assert log_from_samples(some, issued((49.9, 0.3)), ROWS).channels == {}

@@ -134,6 +134,8 @@ class DriveReading(NamedTuple):
     """Motor current [A]; None if not measured."""
     following_error: float | None
     """Angle demanded by the drive minus the actual angle [rad]; None if not measured."""
+    voltage: float | None = None
+    """Supply voltage [V]; None if not measured."""
 
 
 class ForceReading(NamedTuple):

@@ -50,6 +50,8 @@ class Sample(NamedTuple):
     peak: Wrench | None = None
     """Peak magnitudes of the unfiltered wrench since the previous sample [N, N m]; None if only
     `wrench` is known."""
+    voltage: float | None = None
+    """Supply voltage of the drive [V]; None if not measured."""
 
 
 @runtime_checkable

@@ -153,6 +153,7 @@ class Guard:
             *(sample.peak or ()),
             sample.current or 0.0,
             sample.following_error or 0.0,
+            sample.voltage or 0.0,
         )
         if not all(map(math.isfinite, numbers)):
             return Trip(

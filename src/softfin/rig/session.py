@@ -203,7 +203,9 @@ class Session:
             return
         before = self.newest
         if before is None or sample.time > before.time:
-            self.recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
+            self.recorder.joint(
+                sample.time, sample.angle, sample.velocity, sample.current, sample.voltage
+            )
         if before is None or sample.force_time > before.force_time:
             self.recorder.wrench(sample.force_time, sample.wrench)
 

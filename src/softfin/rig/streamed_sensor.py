@@ -172,8 +172,6 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        self._taken = self._arrival
-        """Time of the latest usable record [s]."""
         self._equal_records = 0
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
@@ -244,8 +242,7 @@ class StreamedSensor:
             if not self._received:
                 self._first_arrival = self._arrival
             self._received += len(records)
-            self._taken = records[-1].time
-            self.times.stamp(self._place, self._taken)
+            self.times.stamp(self._place, records[-1].time)
 
     def zero(self) -> None:
         """Set the zero to the mean of the next half second; call only while the fin is at rest."""

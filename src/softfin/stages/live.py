@@ -20,7 +20,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
-from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, VOLTAGE_CHANNEL
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
@@ -295,20 +295,20 @@ def log_from_samples(
 
     `issued` contains the time [s] and target of each command. The force filter delays its output,
     so `samples` must extend a little beyond the last row. The log has channels for the motor's
-    current, if it is measured, and for the rest of the wrench. Raises DeviceError if the samples
-    end early or have a gap longer than `gap_s`.
+    current and supply voltage, if they are measured, and for the rest of the wrench. Raises
+    DeviceError if the samples end early or have a gap longer than `gap_s`.
     """
     # The force has its own times: the sensor's filter reports it later than the angle.
     grid = samples[0].time + TICK_S * np.arange(rows)
-    # NaN if the current is not measured.
-    drive = np.array([(s.time, s.angle, s.velocity, s.current) for s in samples], float)
-    angle, velocity, current = _resample(drive, grid, "angle", gap_s)
+    # NaN if current or voltage is not measured.
+    drive = np.array([(s.time, s.angle, s.velocity, s.current, s.voltage) for s in samples], float)
+    angle, velocity, current, voltage = _resample(drive, grid, "angle", gap_s)
     wrenches = np.array([(s.force_time, *s.wrench) for s in samples])
     x, y, *loads = _resample(wrenches, grid, "force", gap_s)
     # A sensor that does not measure a load reports it as zero.
     channels = {name: load for name, load in zip(LOAD_CHANNELS, loads, strict=True) if load.any()}
-    if np.isfinite(current).all():
-        channels[CURRENT_CHANNEL] = current
+    electrical = {CURRENT_CHANNEL: current, VOLTAGE_CHANNEL: voltage}
+    channels |= {name: values for name, values in electrical.items() if np.isfinite(values).all()}
     times = np.array([time for time, _ in issued])
     targets = np.array([target for _, target in issued], float)
     command = Command(

@@ -18,6 +18,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from softfin.core.log_channels import VOLTAGE_CHANNEL
 from softfin.storage.formats import FILES, IN_FILE
 
 COMMAND = "/fin/command"
@@ -29,6 +30,8 @@ EVENTS = "/fin/events"
 
 CHANNEL_TOPICS = "/fin/channels/"
 """Start of the topics of a log's other channels; the rest is the channel's name."""
+
+VOLTAGE = CHANNEL_TOPICS + VOLTAGE_CHANNEL
 
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
 """Topics that become a log, by their role in `softfin.data.importing`."""

@@ -24,6 +24,7 @@ from softfin.storage.bag.messages import (
     JOINT,
     REFERENCE,
     SECOND_NS,
+    VOLTAGE,
     WRENCH,
     BagWriter,
 )
@@ -83,7 +84,7 @@ class BagRecorder:
                 f"{path}: cannot be written ({error.strerror or error}); record elsewhere"
             ) from None
         artifacts.sync(path.parent)
-        self._bag = BagWriter(self._file)
+        self._bag = BagWriter(self._file, [VOLTAGE])
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
@@ -103,12 +104,21 @@ class BagRecorder:
         self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
-    def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
-        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] if it is
-        measured."""
+    def joint(
+        self,
+        time: float,
+        angle: float,
+        velocity: float,
+        current: float | None,
+        voltage: float | None = None,
+    ) -> None:
+        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] and
+        supply voltage [V] if they are measured."""
         self._hand_in(JOINT, time, (angle, velocity))
         if current is not None:
             self._hand_in(CURRENT, time, (current,))
+        if voltage is not None:
+            self._hand_in(VOLTAGE, time, (voltage,))
 
     def wrench(self, time: float, wrench: Sequence[float]) -> None:
         """Record force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""

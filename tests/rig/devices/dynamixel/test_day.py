@@ -2,6 +2,7 @@
 
 import json
 
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -12,6 +13,7 @@ from softfin.rig.emulation.rig import rigs
 from softfin.rig.prove import check_proof
 from softfin.rig.record import load_record
 from tests.control.folders import folder_option
+from tests.rig.bags import counts_of
 
 
 @pytest.fixture
@@ -55,6 +57,10 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     main(["collect", *plant, "--out", str(data), *counts])
     described = json.loads((data / "dataset.json").read_text())
     assert described["rig"]["drive"]["type"] == "dynamixel"
+    log = pq.read_table(data / "train" / "0000.parquet")
+    assert log["voltage_v"].to_numpy() == pytest.approx(12.0)
+    bags = data.with_name("data-bags")
+    assert counts_of(bags / "train-0000.mcap")["/fin/channels/voltage_v"] >= 300
     controller = folder_option("single", tmp_path)
     out = tmp_path / "evaluation"
     shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]

@@ -7,7 +7,9 @@ import pytest
 from softfin.core.dynamixel import CENTER
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
 from softfin.rig.devices.dynamixel import protocol
+from softfin.rig.devices.dynamixel.config import position_range
 from softfin.rig.devices.dynamixel.drive import Dynamixel
+from softfin.rig.devices.dynamixel.emulated_servo import MOUNTED_TICKS
 from softfin.rig.devices.dynamixel.protocol import (
     HardwareError,
     Instruction,
@@ -21,6 +23,13 @@ from tests.rig.devices.dynamixel.bench import bench, enabled, servo_config
 
 TORQUE = protocol.TORQUE_ENABLE
 WATCHDOG = protocol.BUS_WATCHDOG
+
+
+def is_status(answer):
+    """Tell a status from the answers to other instructions by its length."""
+    return len(answer) == len(encode_packet(Packet(7, Instruction.STATUS, bytes(1)))) + (
+        protocol.STATUS_LAYOUT.size
+    )
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -39,6 +48,7 @@ def test_readings_are_in_the_fins_units(model, unit_a):
         assert reading.velocity == pytest.approx(2.0, abs=0.03)
         assert reading.current == pytest.approx(made.fin.now().current, abs=unit_a)
         assert abs(reading.following_error) < 0.01
+        assert reading.voltage == pytest.approx(12.0)
         assert made.clock() - reading.time < 0.001
 
 
@@ -141,14 +151,38 @@ def test_an_offset_that_the_servo_ignores_is_no_zero():
         assert made.drive.read_angle() == pytest.approx(0.0, abs=0.002)
 
 
+def test_an_offset_that_the_servo_ignores_does_not_shift_its_targets():
+    with bench(zero_needed=False) as made:
+        made.servo.set(protocol.HOMING_OFFSET, 1500)
+        made.drive.open()
+        made.drive.enable()
+        made.drive.command(Target(0.5, 1.0))
+        made.loop(1.0)
+        assert made.drive.read().angle == pytest.approx(0.5, abs=0.02)
+
+
 def test_a_zero_that_failed_is_no_zero(monkeypatch):
     with bench() as made:
         made.drive.open()
         place = made.servo._position
         monkeypatch.setattr(
-            made.servo, "_position", lambda angle: place(angle) + 137 * bool(made.drive.referenced)
+            made.servo,
+            "_position",
+            lambda angle: place(angle) + 137 * bool(made.servo.get(protocol.HOMING_OFFSET)),
         )
         with pytest.raises(DeviceError, match="after zeroing instead of 2048"):
+            made.drive.zero()
+        assert made.servo.get(protocol.HOMING_OFFSET) == 0
+        assert not made.drive.referenced
+
+
+def test_a_zero_that_was_not_checked_is_no_zero():
+    with bench() as made:
+        made.drive.open()
+        made.servo.transmit = lambda answer: (
+            () if is_status(answer) and made.servo.get(protocol.HOMING_OFFSET) else (answer,)
+        )
+        with pytest.raises(DeviceError, match=r"no usable answer|does not respond"):
             made.drive.zero()
         assert made.servo.get(protocol.HOMING_OFFSET) == 0
         assert not made.drive.referenced
@@ -162,6 +196,26 @@ def test_a_fin_outside_its_range_is_not_powered():
         with pytest.raises(RigError, match=r"fin is at 1\.\d+ rad, outside"):
             made.drive.enable()
         assert made.servo.get(TORQUE) == 0
+
+
+def test_a_fin_outside_the_servos_limits_is_not_powered():
+    with bench(zero_needed=False) as made:
+        for entry, limit in zip(
+            (protocol.MIN_POSITION_LIMIT, protocol.MAX_POSITION_LIMIT),
+            position_range(made.drive.config),
+            strict=True,
+        ):
+            made.servo.set(entry, limit)
+        made.servo.set(protocol.HOMING_OFFSET, -MOUNTED_TICKS)
+        made.fin.move(1.65, 10.0)
+        made.clock.sleep(1.0)
+        made.drive.open()
+        with pytest.raises(RigError, match=r"fin is at 1\.6\d+ rad, .*; turn it back by hand"):
+            made.drive.enable()
+        assert made.servo.get(TORQUE) == 0
+        made.fin.move(1.5, 10.0)
+        made.clock.sleep(1.0)
+        made.drive.enable()
 
 
 @pytest.mark.parametrize("heartbeat_s", [0.1, 0.15, 1.0])
@@ -488,6 +542,29 @@ def test_a_slow_adapter_is_refused():
     with bench() as made:
         made.servo.delay_s = 0.016
         with pytest.raises(RigError, match=r"answers take 16 ms.*latency timer"):
+            made.drive.open()
+
+
+def test_a_request_delayed_by_a_busy_computer_does_not_make_later_answers_late(monkeypatch):
+    with bench() as made:
+        pauses_s = [0.02]
+        read_bytes = made.drive.link.read_bytes
+
+        def delayed(address, *rest):
+            if address == protocol.INDIRECT_DATA and pauses_s:
+                made.clock.sleep(pauses_s.pop())
+            return read_bytes(address, *rest)
+
+        monkeypatch.setattr(made.drive.link, "read_bytes", delayed)
+        made.drive.open()
+        assert pauses_s == []
+        assert made.drive.counters() == {}
+
+
+def test_a_servo_with_unusable_answers_is_refused():
+    with bench() as made:
+        made.servo.transmit = lambda answer: () if is_status(answer) else (answer,)
+        with pytest.raises(DeviceError, match="only 0 of 20 answers are usable; check its cable"):
             made.drive.open()
 
 

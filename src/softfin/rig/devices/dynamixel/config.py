@@ -5,7 +5,14 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from softfin.core.dynamixel import CENTER, MODELS, TICKS_PER_TURN, VELOCITY_UNIT_RPM, Model
+from softfin.core.dynamixel import (
+    CENTER,
+    MODELS,
+    TICKS_PER_TURN,
+    VELOCITY_UNIT_RPM,
+    VOLTAGE_UNIT_V,
+    Model,
+)
 from softfin.rig.device import DriveConfig
 from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WATCHDOG_UNIT_S
 from softfin.rig.safety import OVERSHOOT_RAD
@@ -124,6 +131,10 @@ class Units(NamedTuple):
     def current(self, value: int) -> float:
         """Return the current [A], positive in the fin's direction."""
         return self.direction * value * self.model.current_unit_a
+
+    def voltage(self, value: int) -> float:
+        """Return the supply voltage [V]."""
+        return value * VOLTAGE_UNIT_V
 
 
 def position_range(config: DynamixelConfig, margin_rad: float = 0.0) -> tuple[int, int]:

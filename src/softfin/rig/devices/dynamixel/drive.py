@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.dynamixel import CENTER, TICKS_PER_TURN, VOLTAGE_UNIT_V
+from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
@@ -36,6 +36,9 @@ STANDSTILL_RAD_S = 0.1
 
 MEASURED_READINGS = 20
 """Readings for which `open` measures the delay."""
+
+DELAY_ATTEMPTS = 3
+"""Number of times that `open` measures the delay while most answers seem late."""
 
 SLOWEST_ANSWER_S = 0.005
 """Longest median delay of an answer [s]; more would not leave time for the rest of a tick."""
@@ -156,6 +159,7 @@ class Dynamixel:
             velocity=self.units.velocity(status.velocity),
             current=self.units.current(status.current),
             following_error=self.units.angle(status.trajectory) - angle,
+            voltage=self.units.voltage(status.voltage),
         )
 
     def read_angle(self) -> float:
@@ -228,16 +232,20 @@ class Dynamixel:
                 f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
                 "90 degrees of the middle, 180, when the fin is at zero"
             )
-        setup.write(self.link, protocol.HOMING_OFFSET, offset)
+        try:
+            setup.write(self.link, protocol.HOMING_OFFSET, offset)
+            position = self._new_status().position
+            if abs(position - CENTER) > ZERO_TOLERANCE:
+                raise DeviceError(
+                    f"servo is at {position} after zeroing instead of {CENTER}; hold the fin "
+                    "still and try again"
+                )
+        except BaseException:
+            # A zero that has not been checked must not count as one.
+            with suppress(RigError, DeviceError):
+                setup.write(self.link, protocol.HOMING_OFFSET, before)
+            raise
         self._homing_offset = offset
-        position = self._new_status().position
-        if abs(position - CENTER) > ZERO_TOLERANCE:
-            setup.write(self.link, protocol.HOMING_OFFSET, before)
-            self._homing_offset = before
-            raise DeviceError(
-                f"servo is at {position} after zeroing instead of {CENTER}; hold the fin "
-                "still and try again"
-            )
 
     def reset_fault(self) -> str | None:
         """Acknowledge the servo's fault and return its description; None if there was none. Raises
@@ -312,7 +320,7 @@ class Dynamixel:
 
     def checks(self) -> Iterator[CheckResult]:
         """Describe the open drive."""
-        voltage_v = self._known_status().voltage * VOLTAGE_UNIT_V
+        voltage_v = self.units.voltage(self._known_status().voltage)
         text = f"{self.config.model}, {self.where}: limits read, supply {voltage_v:.1f} V"
         yield CheckResult("drive", "well", text)
 
@@ -416,11 +424,14 @@ class Dynamixel:
 
     def _check_delay(self) -> None:
         """Measure how fast and how reliably the servo answers."""
-        delays = []
-        for _ in range(MEASURED_READINGS):
-            began = self.clock()
-            if self._poll(0.05):
-                delays.append(self.clock() - began)
+        for _ in range(DELAY_ATTEMPTS):
+            delays = self._measure_delays()
+            if self.counted["late answers"] < MEASURED_READINGS / 2:
+                break
+            # If a busy computer delays the request with which the estimate of the answers' age
+            # starts, all later answers seem late.
+            self._samples = SampleClock()
+            self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
             raise DeviceError(
                 f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} answers are usable; "
@@ -432,6 +443,15 @@ class Dynamixel:
                 f"{self.link.name}: answers take {1e3 * median_s:.0f} ms, which is too long for "
                 "100 Hz; set the latency timer of the USB adapter to 1 ms"
             )
+
+    def _measure_delays(self) -> list[float]:
+        """Return the delays of the usable answers to `MEASURED_READINGS` requests [s]."""
+        delays = []
+        for _ in range(MEASURED_READINGS):
+            began = self.clock()
+            if self._poll(0.05):
+                delays.append(self.clock() - began)
+        return delays
 
     def _fault(self) -> str | None:
         """Return the servo's fault as of the latest status; None if there is none."""
@@ -486,6 +506,7 @@ class Dynamixel:
             self.units.speed(config.slowest_rad_s),
             self._known_status().position,
         )
+        self._check_position_limits()
         address = protocol.PROFILE_ACCELERATION.address
         self.link.write_bytes(address, hold, 0.02, "its present position as goal")
         meanwhile()
@@ -510,6 +531,18 @@ class Dynamixel:
         except BaseException:
             self.stop()
             raise
+
+    def _check_position_limits(self) -> None:
+        """Raise RigError if the servo would refuse its present position as goal; a goal at its
+        limit would move the fin while it is being enabled."""
+        position = self._known_status().position
+        lowest = self.link.read(protocol.MIN_POSITION_LIMIT)
+        highest = self.link.read(protocol.MAX_POSITION_LIMIT)
+        if not lowest <= position <= highest:
+            raise RigError(
+                f"fin is at {self.units.angle(position):.3f} rad, position {position}, outside the "
+                f"servo's limits {lowest} to {highest}; turn it back by hand"
+            )
 
     def _check_not_stopped(self) -> None:
         if self.stopped:

@@ -264,11 +264,15 @@ class EmulatedServo:
             self.set(entry, value)
 
     def _position(self, angle: float) -> int:
+        return self._units.position(angle) + self._offset()
+
+    def _offset(self) -> int:
+        """Return the difference between the servo's position and the one of `Units`."""
         offset = self.get(protocol.HOMING_OFFSET)
         # In position mode, a servo ignores a larger one.
         if abs(offset) > protocol.MAX_HOMING_OFFSET:
             offset = 0
-        return self._units.position(angle) + MOUNTED_TICKS + offset
+        return MOUNTED_TICKS + offset
 
     def _write(self, request: bytes) -> Refusal | None:
         (address,) = struct.unpack("<H", request[:2])
@@ -318,8 +322,7 @@ class EmulatedServo:
         return None
 
     def _move(self) -> None:
-        offset = MOUNTED_TICKS + self.get(protocol.HOMING_OFFSET)
-        angle = self._units.angle(self.get(protocol.GOAL_POSITION) - offset)
+        angle = self._units.angle(self.get(protocol.GOAL_POSITION) - self._offset())
         # 0 means as fast as possible.
         speed = self.get(protocol.PROFILE_SPEED) or self.get(protocol.VELOCITY_LIMIT)
         self._fin.move(angle, abs(self._units.velocity(speed)))

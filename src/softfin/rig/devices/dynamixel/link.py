@@ -22,6 +22,7 @@ from softfin.rig.devices.dynamixel.protocol import (
     Refusal,
     encode_packet,
 )
+from softfin.rig.serial_port import open_serial_port
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
@@ -71,19 +72,13 @@ class SerialPort:
     """A serial port."""
 
     def __init__(self, port: str, baud: int, exclusive: bool) -> None:
-        # Imported here because it belongs to the extra `serial`, and simulated time does not need
-        # it.
-        import serial
-
-        try:
-            self._serial = serial.Serial(
-                port, baud, timeout=READ_STEP_S, write_timeout=WRITE_TIMEOUT_S, exclusive=exclusive
-            )
-        except (OSError, ValueError) as error:
-            raise DeviceError(
-                f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
-                "and your permission to use it, and end other programs that use it"
-            ) from None
+        self._serial = open_serial_port(
+            port,
+            baud,
+            timeout_s=READ_STEP_S,
+            write_timeout_s=WRITE_TIMEOUT_S,
+            exclusive=exclusive,
+        )
         # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
         # do not have this setting; `open` of the drive measures the delay in any case.
         with contextlib.suppress(OSError, ValueError, AttributeError):

@@ -20,7 +20,8 @@ class SampleClock:
         self._sent: float | None = None
         self._tick = 0
         self._lead = 0.0
-        """Age of the latest answer relative to the freshest one seen [s]; at most 0."""
+        """Age of the latest answer compared with the oldest accepted one [s]; at most 0. `DRIFT`
+        makes the estimate forget the oldest one."""
 
     def is_late(self, sent: float, tick: int) -> bool:
         """Return whether a sample with the servo's time `tick` [ms] is older than the request that

@@ -13,6 +13,7 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
 from softfin.rig.devices.lines.config import LinesConfig
+from softfin.rig.serial_port import open_serial_port
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.streamed_sensor import queue_length
@@ -47,16 +48,7 @@ class SerialTransport:
     """A serial port, opened for this program alone."""
 
     def __init__(self, port: str, baud: int) -> None:
-        # Imported here because it belongs to the extra `serial`, and UDP does not need it.
-        import serial
-
-        try:
-            self._serial = serial.Serial(port, baud, timeout=WAIT_S, exclusive=True)
-        except (OSError, ValueError) as error:
-            raise DeviceError(
-                f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
-                "and your permission to use it, and end other programs that use it"
-            ) from None
+        self._serial = open_serial_port(port, baud, timeout_s=WAIT_S)
 
     def read(self) -> Received:
         """Return the bytes that have arrived, at least one unless none arrives in time."""
