@@ -102,7 +102,7 @@ def test_noise_that_hides_the_force_is_a_warning(
     found = json.loads(captured.out)["warning"]
     assert (found is not None) == warned
     assert load_surrogate(out).mean_force_noise_n == floor_n
-    told = f"warning: {out}: the mean force over 2 s has a noise of 50 N (with drift"
+    told = f"warning: {out}: noise hides the force: the mean force over 2 s in the logs is "
     assert (told in captured.err) == warned
 
 
