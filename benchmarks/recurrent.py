@@ -61,7 +61,9 @@ def run_recurrent(
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, RecordedTicks]:
         command = action_to_command(limits, action)
-        state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        state, (reading, true_force) = hold_action_with_true_force(
+            plant, state, command, ticks, PAPER_CLOCK.max_ticks
+        )
         return state, (
             jax.tree.map(lambda x: jnp.full(PAPER_CLOCK.max_ticks, x), command),
             reading,
