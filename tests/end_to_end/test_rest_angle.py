@@ -1,13 +1,9 @@
 """A fin whose range excludes angle 0, from the tank to its controller, small."""
 
-import json
-
 import jax
 import numpy as np
 import pytest
-import yaml
 
-from softfin.cli import main
 from softfin.control.store import load_controller
 from softfin.core.errors import PlantError
 from softfin.core.plant import roll
@@ -17,6 +13,7 @@ from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import load_surrogate
 from softfin.tank import Tank, TankConfig
+from tests.end_to_end.test_stages import run, write
 from tests.staged import COARSE, GRADIENT, MAP, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
 
 LOW = 0.2
@@ -25,17 +22,6 @@ SIDEWAYS = COARSE | {
     "drive": {"angle_min_rad": LOW, "angle_max_rad": HIGH},
     "sensor": {"noise_n": 0, "drift_n": 0},
 }
-
-
-def run(capsys, *words):
-    capsys.readouterr()
-    main([*words, "--json"])
-    return json.loads(capsys.readouterr().out)
-
-
-def write(path, values):
-    path.write_text(yaml.safe_dump(values))
-    return str(path)
 
 
 @pytest.mark.usefixtures("short_search")

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from softfin.cli import main
 from softfin.core.clock import REAL
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.devices.epos2 import protocol
@@ -118,6 +119,16 @@ def prove(path: Path) -> None:
         faulted_after_s=config.drive.heartbeat_s,
     )
     save_record(config.file, RigRecord(stop_proof=proof))
+
+
+@contextmanager
+def emulated_by_command(file: Path, *options: str) -> Iterator[Path]:
+    """The file of a rig that `softfin rig emulate` has written; emulation ends afterwards."""
+    main(["rig", "emulate", "--rig", str(file), *options])
+    yield file
+    emulated = rigs.pop(file.resolve(), None)
+    if emulated is not None:
+        emulated.close()
 
 
 @contextmanager

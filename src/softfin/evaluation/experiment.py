@@ -30,14 +30,15 @@ from softfin.core.plant import (
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
-MIN_SECONDS = 3
-"""Shortest experiment with the paper's clock [s]; see `min_seconds`."""
-
 
 def min_seconds(clock: ActionClock) -> int:
     """Return the shortest experiment [s]: the first window and up to a second of further ones, and
     two whole actions in its second half."""
     return max(clock.window_ticks // RATE_HZ + 1, math.ceil(4 * clock.max_ticks / RATE_HZ))
+
+
+MIN_SECONDS = min_seconds(PAPER_CLOCK)
+"""Shortest experiment with the paper's clock [s]."""
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]

@@ -14,16 +14,15 @@ from softfin.rig.prove import check_proof
 from softfin.rig.record import load_record
 from tests.control.folders import folder_option
 from tests.rig.bags import counts_of
+from tests.rig.rigs import emulated_by_command
 
 
 @pytest.fixture
 def rig(tmp_path):
-    file = tmp_path / "rig.yaml"
-    main(["rig", "emulate", "--rig", str(file), "--drive", "dynamixel", "--sensor", "lines"])
-    yield file
-    emulated = rigs.pop(file.resolve(), None)
-    if emulated is not None:
-        emulated.close()
+    with emulated_by_command(
+        tmp_path / "rig.yaml", "--drive", "dynamixel", "--sensor", "lines"
+    ) as file:
+        yield file
 
 
 def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):

@@ -7,21 +7,16 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.rig.emulation.rig import rigs
 from softfin.rig.record import load_record
 from tests import needs
 from tests.control.folders import folder_option
-from tests.rig.rigs import over_sockets
+from tests.rig.rigs import emulated_by_command, over_sockets
 
 
 @pytest.fixture
 def simulated_rig(tmp_path):
-    file = tmp_path / "rig.yaml"
-    main(["rig", "emulate", "--rig", str(file), "--sensor", "lines"])
-    yield file
-    emulated = rigs.pop(file.resolve(), None)
-    if emulated is not None:
-        emulated.close()
+    with emulated_by_command(tmp_path / "rig.yaml", "--sensor", "lines") as file:
+        yield file
 
 
 @pytest.fixture

@@ -6,18 +6,14 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.rig.emulation.rig import rigs
 from softfin.rig.record import load_record
+from tests.rig.rigs import emulated_by_command
 
 
 @pytest.fixture
 def rig(tmp_path):
-    file = tmp_path / "rig.yaml"
-    main(["rig", "emulate", "--rig", str(file), "--sensor", "ros2"])
-    yield file
-    emulated = rigs.pop(file.resolve(), None)
-    if emulated is not None:
-        emulated.close()
+    with emulated_by_command(tmp_path / "rig.yaml", "--sensor", "ros2") as file:
+        yield file
 
 
 def test_check_zero_and_collect_pass_and_the_zero_is_found_again(rig, tmp_path, capsys):

@@ -11,11 +11,11 @@ watchdog stops the servo, which then holds its position with its torque on.
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
-from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.dynamixel import protocol, setup
@@ -23,9 +23,10 @@ from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, positio
 from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
 from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
+from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
-from softfin.rig.safety import OVERSHOOT_RAD, check_target
+from softfin.rig.safety import check_target
 
 ANSWER_S = 0.006
 """Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
@@ -58,7 +59,6 @@ UNANSWERED = 3
 """Number of consecutive ticks without a target that counts as a problem."""
 ZERO_TOLERANCE = 8
 """Largest position after zeroing, in counts from the center: the fin may sway."""
-UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
 _MOTION = struct.Struct("<iii")
 """Profile acceleration, profile velocity and goal position, which are next to each other."""
@@ -171,17 +171,11 @@ class Dynamixel:
         """Power the motor, which holds its position; if this raises RigError or DeviceError, the
         motor is off again."""
         angle = self.units.angle(self._new_status().position)
-        low = self.config.angle_min_rad
-        high = self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
                 "fin has never been zeroed; turn the fin to zero and run: softfin rig zero --arm"
             )
-        if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
-            raise RigError(
-                f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
-                "hand, or turn it to zero and run: softfin rig zero --arm"
-            )
+        check_fin_angle(angle, self.config)
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def command(self, target: Target) -> None:
@@ -300,7 +294,7 @@ class Dynamixel:
         for longer each time, until the watchdog has tripped; the real time is up to 20 ms shorter.
         """
         self._new_status()
-        with self._stopped_afterwards():
+        with stopped_afterwards(self):
             self._power_up(then_arm=False)
             silence_s = self.config.heartbeat_s
             while silence_s <= self.config.heartbeat_s + LOSS_MARGIN_S:
@@ -547,26 +541,6 @@ class Dynamixel:
     def _check_not_stopped(self) -> None:
         if self.stopped:
             raise DeviceError("drive was stopped while it was being enabled; enable it again")
-
-    @contextmanager
-    def _stopped_afterwards(self) -> Iterator[None]:
-        """Stop the motor when the block ends, even with an exception; raises SafetyStop if the
-        motor may still be on."""
-        reason = "the drive was stopped"
-        try:
-            yield
-        except BaseException as error:
-            reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
-            raise
-        finally:
-            try:
-                self.stop()
-            finally:
-                # Once more, in case Ctrl-C interrupted the first stop.
-                self.stop()
-                if self.stop_unconfirmed:
-                    # This outranks any other error: the operator is next to a powered motor.
-                    raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def _brake_time(self) -> float:
         """Return the longest time for braking [s]: twice that from the highest velocity, plus ten

@@ -347,7 +347,7 @@ class _Line(Protocol):
         """Wait for bytes for up to `wait_s` [s]."""
 
     def send(self, data: bytes) -> None:
-        """Send; bytes that nobody reads are lost, as on a real port."""
+        """Send bytes. If nobody reads them, they are lost, as on a real port."""
 
     def close(self) -> None:
         """Unplug; may be called repeatedly."""
@@ -382,7 +382,7 @@ class _Pty(_Line):
 
 
 class _Socket(_Line):
-    """A socket in simulated time; the answer goes to whoever has sent last."""
+    """A socket in simulated time. Answers go to the most recent sender."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         self._socket = SimulatedSocket(clock, LOOPBACK, SERVO_PORT)

@@ -6,15 +6,15 @@ emulator, not yet with a real drive.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
-from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.devices.epos2.protocol import Bit, State
+from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
 from softfin.rig.machine import Target
-from softfin.rig.safety import OVERSHOOT_RAD, check_target
+from softfin.rig.safety import check_target
 
 ANSWER_S = 0.006
 """Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
@@ -33,7 +33,6 @@ STOP_TIMEOUT_S = 3.0
 ANSWER_STEP_S = 0.01
 UNANSWERED = 3
 """Number of consecutive unanswered handshakes that counts as a problem."""
-UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
 
 class Epos2(Exchange):
@@ -253,18 +252,12 @@ class Epos2(Exchange):
         devices can be read.
         """
         angle = self._new_reading().angle
-        low = self.config.angle_min_rad
-        high = self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
                 "fin has not been zeroed since the drive's power-up; turn the fin to zero and run: "
                 "softfin rig zero --arm"
             )
-        if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
-            raise RigError(
-                f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
-                "hand, or turn it to zero and run: softfin rig zero --arm"
-            )
+        check_fin_angle(angle, self.config)
         # After a failed homing, the drive may still be in homing mode, in which a new target would
         # set a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
@@ -275,7 +268,7 @@ class Epos2(Exchange):
         nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)
-        with self._stopped_afterwards():
+        with stopped_afterwards(self):
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
             self._power_up(then_arm=False, meanwhile=lambda: None)
@@ -297,34 +290,13 @@ class Epos2(Exchange):
         on_fault = self.on_fault
         self.on_fault = None
         try:
-            with self._stopped_afterwards():
+            with stopped_afterwards(self):
                 self._power_up(then_arm=False)
                 faulted_after_s = procedures.time_own_stop(self)
             self.reset_fault()
             return faulted_after_s
         finally:
             self.on_fault = on_fault
-
-    @contextmanager
-    def _stopped_afterwards(self) -> Iterator[None]:
-        """Stop the motor when the block ends, even with an exception; raises SafetyStop if the
-        motor may still be on."""
-        reason = "the drive was stopped"
-        try:
-            yield
-        except BaseException as error:
-            reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
-            raise
-        finally:
-            try:
-                self.stop()
-            finally:
-                # Once more, in case Ctrl-C interrupted the first stop; this takes no time if the
-                # motor is off.
-                self.stop()
-                if self.stop_unconfirmed:
-                    # This outranks any other error: the operator is next to a powered motor.
-                    raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:
         """Stop the drive unconditionally, no matter which program powered it; raises DeviceError if

@@ -114,7 +114,7 @@ class LagWatch:
         """Increase of the delay at that moment [s]."""
         self._clock_error = clock_error
         self._lowest: float | None = None
-        """Lowest difference of the two clocks, which is that of the lines with the least delay."""
+        """Smallest difference between the two clocks, from the lines with the shortest delay."""
         self._arrived = 0.0
         self._lagging_since: float | None = None
 
