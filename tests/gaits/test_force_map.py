@@ -112,7 +112,7 @@ def test_a_fin_without_thrust_has_nothing_to_map() -> None:
 
 def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
     config = WITHIN
-    empty = empty_map(config.empty_table(WIDE), config.survey.directions)
+    empty = empty_map(config.empty_table(WIDE), config.survey.directions, config.clock)
     assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [
         np.shape(leaf) for leaf in jax.tree.leaves(mapped())
     ]

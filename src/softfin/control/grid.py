@@ -88,7 +88,7 @@ class GridStep:
         """Build the step from a controller's description and arrays; return it with its cells."""
         if not cells:
             raise ValueError("cells: empty; a grid needs at least one cell")
-        observation = PolicyObservation.model_validate(description["task"])
+        observation = PolicyObservation.from_description(description)
         switching = SwitchingConfig.model_validate(description.get("switching") or {})
         networks, gaits = fold(arrays, observation, (len(cells),))
         step = cls(

@@ -19,6 +19,7 @@ import pydantic
 from jaxtyping import Float
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import GaitTable, NamedArrays
@@ -57,6 +58,11 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
     force_scale_n: pydantic.PositiveFloat = 3.0
     """Scale of observed references in training [N]."""
     clock: ActionClock = PAPER_CLOCK
+
+    @classmethod
+    def from_description(cls, description: JsonObject) -> "PolicyObservation":
+        """Build from a controller's description, whose own clock counts."""
+        return cls.model_validate(description["task"] | {"clock": description.get("clock", {})})
 
     @property
     def size(self) -> int:

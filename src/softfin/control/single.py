@@ -48,7 +48,7 @@ class SingleStep:
         """Build the step from a controller's description and arrays; return it with its cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: got {len(cells)}; a single controller must have one")
-        observation = PolicyObservation.model_validate(description["task"])
+        observation = PolicyObservation.from_description(description)
         network, gaits = fold(arrays, observation)
         return cls(network, rest_action(limits), observation, gaits), cells
 

@@ -15,7 +15,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.names import CHANNELS
+from softfin.data.importing.names import RESERVED
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import (
@@ -27,7 +27,7 @@ from softfin.storage.bag.messages import (
     WRENCH,
     BagWriter,
 )
-from softfin.storage.log_file import SCHEMA, write_log
+from softfin.storage.log_file import write_log
 
 
 def convert(
@@ -103,7 +103,7 @@ def _channel_topics(log: Log, source: str) -> dict[str, str]:
     for channel in log.channels:
         # ROS allows no other characters in the name of a topic.
         name = re.sub(r"[^A-Za-z0-9_]", "_", channel)
-        if name in (*CHANNELS, *SCHEMA.names):
+        if name in RESERVED:
             raise LogError(
                 f"{source}: channel {channel!r}: in a bag, every log has {name}; rename it"
             )

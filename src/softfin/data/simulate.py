@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray, PyTree
 
 from softfin.core.compilation import jit
-from softfin.core.plant import Plant, State, check_commands, roll
+from softfin.core.plant import Plant, State, roll
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
@@ -121,27 +121,20 @@ def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Measu
 
     def one(arrays: PyTree, state: State, issued: Command) -> tuple[State, Measured]:
         plant = eqx.combine(arrays, fleet.static)
-        if fleet.channels:
-            return _roll_with_channels(plant, state, issued)
-        state, reading = roll(plant, state, issued)
-        return state, (reading, {})
+        if not fleet.channels:
+            state, reading = roll(plant, state, issued)
+            return state, (reading, {})
+
+        def tick(state: State, command: Command) -> tuple[State, Measured]:
+            state, reading, channels = plant.measure(state, command)
+            return state, (reading, channels)
+
+        return jax.lax.scan(tick, state, issued)
 
     rolled: tuple[State, Measured] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(
         fleet.arrays, state, issued
     )
     return rolled
-
-
-def _roll_with_channels(
-    plant: MeasuringPlant, state: State, issued: Command
-) -> tuple[State, Measured]:
-    check_commands(plant.limits, issued)
-
-    def tick(state: State, command: Command) -> tuple[State, Measured]:
-        state, reading, channels = plant.measure(state, command)
-        return state, (reading, channels)
-
-    return jax.lax.scan(tick, state, issued)
 
 
 def _logs(

@@ -13,7 +13,6 @@ from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import (
     DisturbanceObserver,
     DisturbanceObserverConfig,
-    ObserverForces,
 )
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
@@ -96,18 +95,20 @@ def controller_data(controller: LoadedController) -> JsonObject:
     feedback."""
     step = controller.step
     reachable = controller.reachable
-    trim = DisturbanceObserverConfig()
+    observer = DisturbanceObserver(controller, DisturbanceObserverConfig())
+    assert observer.newtons is not None
     data: JsonObject = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
+        "rest_rad": controller.limits.rest_angle,
         "cells": [cell.model_dump(mode="json") for cell in controller.cells],
         "reachable": None if reachable is None else reachable.to_dict(),
         "clock": controller.clock.model_dump(mode="json"),
         "size": 1.0 if reachable is None else reachable.size,
         "trim": {
-            **trim.model_dump(mode="json"),
-            **ObserverForces.for_fin(trim, reachable)._asdict(),
-            "settle_actions": DisturbanceObserver(controller, trim).settle_actions,
+            **observer.config.model_dump(mode="json"),
+            **observer.newtons._asdict(),
+            "settle_actions": observer.settle_actions,
         },
     }
     if isinstance(step, GaitStep):

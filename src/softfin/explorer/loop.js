@@ -52,16 +52,10 @@ class Loop {
     Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
   }
 
-  /* Where a fin rests [rad]: at 0, or at the end of its range that is closest to it. */
-  restAngle() {
-    const { angle_min_rad: low, angle_max_rad: high } = this.controller.limits;
-    return Math.min(Math.max(0, low), high);
-  }
-
   tick() {
     if (this.left === 0) {
       const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
-      this.command = this.controller.act(reading ? reading.angle : this.restAngle(), this.sum.map((value) => value / ticks), this.reference);
+      this.command = this.controller.act(reading ? reading.angle : this.controller.description.rest_rad, this.sum.map((value) => value / ticks), this.reference);
       [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], [0, 0]];
       this.action++;
     }

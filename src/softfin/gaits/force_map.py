@@ -75,7 +75,7 @@ class MapConfig(Configuration):
         return self.tolerance_n or TOLERANCE_N * surveyed.size
 
 
-def empty_map(table: GaitTable, directions: int, clock: ActionClock = PAPER_CLOCK) -> ForceMap:
+def empty_map(table: GaitTable, directions: int, clock: ActionClock) -> ForceMap:
     """Return an empty map with the shapes of a checkpoint."""
     nothing = np.zeros((*table.nodes, 2), np.float32)
     nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))

@@ -34,14 +34,20 @@ class GaitTable(NamedTuple):
 
     @classmethod
     def empty(
-        cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int], gait_actions: int = 6
+        cls,
+        low: ForceVector,
+        high: ForceVector,
+        nodes: tuple[int, int],
+        gait_actions: int = PAPER_CLOCK.window_actions,
     ) -> "GaitTable":
         """Return a table with all actions set to 0; `nodes` in x and y are at least 2."""
         actions = np.zeros((*nodes, gait_actions, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
     @classmethod
-    def over(cls, cell: Cell, spacing_n: float, gait_actions: int = 6) -> "GaitTable":
+    def over(
+        cls, cell: Cell, spacing_n: float, gait_actions: int = PAPER_CLOCK.window_actions
+    ) -> "GaitTable":
         """Return an empty table over a cell, including its corners, with nodes at most `spacing_n`
         apart."""
         size = np.subtract(cell.high, cell.low)

@@ -1,13 +1,60 @@
 """What every drive does to keep a fin safe, apart from talking to its device."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
-from softfin.core.errors import RigError, SafetyStop, SoftfinError
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.rig.device import Drive, DriveConfig
 from softfin.rig.safety import OVERSHOOT_RAD
 
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
+
+
+MAX_BRAKE_S = 0.5
+"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
+
+MIN_ATTEMPTS = 3
+"""Minimum number of attempts of a stop, because one unanswered request may use up its time."""
+
+STOP_CONFIRMED_S = 0.3
+"""Time for which the motor must stay off [s]; a program that still drives it would power it again
+within this time."""
+
+
+def check_braking(fastest_rad_s: float, quick_stop_rad_s2: float) -> None:
+    """Raise ValueError if a quick stop from the highest velocity [rad/s] takes too long."""
+    braking_s = fastest_rad_s / quick_stop_rad_s2
+    if braking_s > MAX_BRAKE_S:
+        raise ValueError(
+            f"quick_stop_rad_s2 {quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop from "
+            f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
+            f"{fastest_rad_s / MAX_BRAKE_S:.1f} or more"
+        )
+
+
+def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: float) -> bool:
+    """Retry every `step_s` [s] until `done()` or for `seconds`, but at least three times; a
+    DeviceError means not done."""
+    end = clock() + seconds
+    attempts = 0
+    while attempts < MIN_ATTEMPTS or clock() <= end:
+        attempts += 1
+        with suppress(DeviceError):
+            if done():
+                return True
+        clock.sleep(step_s)
+    return False
+
+
+def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
+    """Return whether a motor stays off, looking every `step_s` [s]: a program that still drives it
+    would power it again."""
+    for _ in range(round(STOP_CONFIRMED_S / step_s)):
+        if not is_off():
+            return False
+        clock.sleep(step_s)
+    return True
 
 
 def check_fin_angle(angle: float, config: DriveConfig) -> None:

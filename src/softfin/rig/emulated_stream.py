@@ -1,6 +1,10 @@
-"""Pace and noise of emulated sensors that stream records."""
+"""Pace, noise and pseudo-terminal of emulated devices."""
 
+import contextlib
+import os
+import select
 import threading
+import tty
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -35,3 +39,34 @@ def measure(fin: EmulatedFin, turn: Float[np.ndarray, "3 3"], number: int) -> Wr
     noise = NOISE_N[number % len(NOISE_N)]
     fz, tx, ty, tz = rest
     return fx + noise[0], fy + noise[1], fz, tx, ty, tz
+
+
+class Pty:
+    """A pseudo-terminal; its other end is the serial port."""
+
+    def __init__(self) -> None:
+        self._own, self._other = os.openpty()
+        tty.setraw(self._other)
+        os.set_blocking(self._own, False)
+        self.name = os.ttyname(self._other)
+        self.is_open = True
+
+    def receive(self, wait_s: float) -> bytes:
+        """Wait for bytes for up to `wait_s` [s]."""
+        with contextlib.suppress(OSError, ValueError):
+            if self.is_open and select.select([self._own], [], [], wait_s)[0]:
+                return os.read(self._own, 4096)
+        return b""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes. If nobody reads them, they are lost, as on a real port."""
+        with contextlib.suppress(OSError):
+            if self.is_open:
+                os.write(self._own, data)
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+        if self.is_open:
+            self.is_open = False
+            os.close(self._own)
+            os.close(self._other)

@@ -146,8 +146,8 @@ def _split_further(track: Track) -> tuple[Track, list[Track]]:
         one = Track(track.time, {name: values})
         # A log is in single precision.
         one = one.take(np.isfinite(one.time) & (np.abs(values) <= np.finfo(np.float32).max))
-        latest = np.maximum.accumulate(one.time)
-        further.append(one.take(np.append(True, one.time[1:] > latest[:-1])[: len(one.time)]))
+        forward, _, _ = _forward_rows(one, np.arange(len(one.time)), name)
+        further.append(forward)
     return Track(track.time, needed), further
 
 

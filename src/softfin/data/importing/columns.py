@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from softfin.core.dynamixel import MODELS, REGISTER_BITS
 from softfin.core.errors import LogError
+from softfin.core.log_channels import LOG_COLUMNS
 from softfin.data.importing.importing import FURTHER_KINDS, NO_COLUMN, ImportConfig, turned
 from softfin.data.importing.names import (
     CHANNELS,
@@ -26,9 +27,8 @@ from softfin.data.importing.names import (
     read_name,
     split_unit,
 )
-from softfin.storage.log_file import SCHEMA
 
-OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True)) | {
+OWN_NAMES = dict(zip(LOG_COLUMNS, CHANNELS, strict=True)) | {
     name: channel for channel, name in FURTHER.items()
 }
 """Channels by softfin's own column names."""

@@ -7,8 +7,7 @@ import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
 from softfin.core.configuration import Configuration
-from softfin.core.log_channels import LOG_COLUMNS
-from softfin.data.importing.names import CHANNELS, KINDS, UNITS, Channel, FurtherChannel
+from softfin.data.importing.names import KINDS, RESERVED, UNITS, Channel, FurtherChannel
 
 NO_COLUMN = "-"
 """Value of --columns for a channel that is not in the file, even if one of the column names looks
@@ -138,7 +137,7 @@ class ImportConfig(Configuration):
     @classmethod
     def _of_other_names(cls, value: dict[str, str]) -> dict[str, str]:
         for name in value:
-            if name in (*LOG_COLUMNS, *CHANNELS):
+            if name in RESERVED:
                 raise ValueError(f"{name!r} is a column of every log; use another name for it")
         return value
 

@@ -10,7 +10,7 @@ import re
 from typing import Literal, get_args
 
 from softfin.core.dynamixel import MODELS, TICKS_PER_TURN, VELOCITY_UNIT_RPM, VOLTAGE_UNIT_V
-from softfin.core.log_channels import KNOWN_CHANNELS
+from softfin.core.log_channels import KNOWN_CHANNELS, LOG_COLUMNS
 
 LogChannel = Literal[
     "time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"
@@ -23,6 +23,9 @@ Channel = Literal[LogChannel, FurtherChannel]
 CHANNELS: tuple[str, ...] = get_args(LogChannel)
 """Channels of every log. A recording may lack the velocity; it may also lack the time and the
 commanded velocity if options set them."""
+
+RESERVED = (*LOG_COLUMNS, *CHANNELS)
+"""Names that a further channel must not have."""
 
 FURTHER: dict[str, str] = dict(zip(get_args(FurtherChannel), KNOWN_CHANNELS, strict=True))
 """Names in a log of the channels that it may also contain."""

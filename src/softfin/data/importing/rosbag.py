@@ -17,7 +17,7 @@ from softfin.core.printable import printable
 from softfin.data.importing.clocks import Channels, Part, Recording, Track
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
-from softfin.data.importing.names import CHANNELS, Channel
+from softfin.data.importing.names import CHANNELS, RESERVED, Channel
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity, counted
 from softfin.storage.bag.messages import (
@@ -34,7 +34,6 @@ from softfin.storage.bag.messages import (
 )
 from softfin.storage.bag.recovery import check_bag
 from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
-from softfin.storage.log_file import SCHEMA
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
@@ -119,7 +118,7 @@ def _channel_topics(reader: Reader, config: ImportConfig) -> dict[str, str]:
         topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
     for connection in reader.connections:
         channel = connection.topic.removeprefix(CHANNEL_TOPICS)
-        is_own = channel not in (connection.topic, *CHANNELS, *SCHEMA.names)
+        is_own = channel not in (connection.topic, *RESERVED)
         if is_own and _numbers(reader, connection.topic):
             topics[channel] = connection.topic
     return topics | config.keep

@@ -10,6 +10,7 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from softfin.core.errors import LogError, one_line
+from softfin.core.log_channels import LOG_COLUMNS
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import (
     OWN_NAMES,
@@ -22,7 +23,7 @@ from softfin.data.importing.columns import (
 from softfin.data.importing.importing import FURTHER_KINDS, ImportConfig
 from softfin.data.importing.names import CHANNELS, FURTHER, KINDS, UNITS, read_name
 from softfin.data.issues import Issue
-from softfin.storage.log_file import SCHEMA, read_parquet
+from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
 
@@ -88,7 +89,7 @@ def _own_channels(
 ) -> dict[str, str]:
     """Return the channels of softfin's own log that are not among the columns found or kept: its
     other numeric columns, under their own names."""
-    if not set(SCHEMA.names) <= set(schema.names):
+    if not set(LOG_COLUMNS) <= set(schema.names):
         return {}
     read = {*(column.name for column in found.values()), *config.keep.values()}
     # A column with a name of softfin's own that was not found is not meant to be read.

@@ -126,9 +126,9 @@ class StepContext:
     """Folder for the step's recordings."""
     clock: Clock
     random: np.random.Generator
-    hour_s: float = 3600.0
+    hour_s: float
     """Duration of the long motion [s]; shorter only in tests."""
-    weight_kg: float = WEIGHT_KG
+    weight_kg: float
     """Mass of the known weight that pulls on the force sensor [kg]."""
 
     @property

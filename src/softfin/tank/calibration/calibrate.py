@@ -16,12 +16,12 @@ import yaml
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Command, Log
+from softfin.core.window import window_means
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import RunDirectory
@@ -234,16 +234,10 @@ def calibration_figure(
         panels[0].set_title("Test segment with the median error", weight="bold")
         panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
-        # Only complete windows.
-        end = (
-            test.warm_up
-            + (measured.shape[1] - test.warm_up)
-            // PAPER_CLOCK.window_ticks
-            * PAPER_CLOCK.window_ticks
+        ours, theirs = (
+            window_means(series[:, test.warm_up :]).reshape(-1, len(FITTED_CHANNELS))
+            for series in (modelled, measured)
         )
-        windows = (-1, PAPER_CLOCK.window_ticks, len(FITTED_CHANNELS))
-        ours = modelled[:, test.warm_up : end].reshape(windows).mean(axis=1)
-        theirs = measured[:, test.warm_up : end].reshape(windows).mean(axis=1)
         axes = parts[1].subplots()
         axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8)
         for index, colour, marker in ((1, BLUE, "o"), (2, ORANGE, "s")):

@@ -15,10 +15,8 @@ from softfin.core.dynamixel import (
 )
 from softfin.rig.device import DriveConfig
 from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WATCHDOG_UNIT_S
+from softfin.rig.drive_safety import check_braking
 from softfin.rig.safety import OVERSHOOT_RAD
-
-MAX_BRAKE_S = 0.5
-"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 MAX_ACCELERATION = 32_767
 """Largest profile acceleration, in the servo's unit."""
@@ -69,13 +67,7 @@ class DynamixelConfig(DriveConfig):
                 f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} is below acceleration_rad_s2, so a "
                 "stop would run past the target; increase it"
             )
-        braking_s = self.fastest_rad_s / self.quick_stop_rad_s2
-        if braking_s > MAX_BRAKE_S:
-            raise ValueError(
-                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop "
-                f"from fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
-                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
-            )
+        check_braking(self.fastest_rad_s, self.quick_stop_rad_s2)
         units = Units.of(self)
         if units.speed(self.slowest_rad_s) == 0:
             # The servo takes 0 for "as fast as possible".

@@ -23,7 +23,13 @@ from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, positio
 from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
 from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
-from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
+from softfin.rig.drive_safety import (
+    UNCONFIRMED,
+    check_fin_angle,
+    stays_off,
+    stopped_afterwards,
+    try_until,
+)
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
@@ -47,9 +53,6 @@ SLOWEST_ANSWER_S = 0.005
 STOP_TIMEOUT_S = 3.0
 """Longest wait for another stop in progress [s]."""
 DISABLE_TIMEOUT_S = 0.3
-STOP_CONFIRMED_S = 0.3
-"""Time for which the motor must stay off [s]; a program that still drives it would power it again
-within this time."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
 RESET_TIMEOUT_S = 1.0
@@ -278,7 +281,9 @@ class Dynamixel:
             # power the motor.
             self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
             self._try_until(self._is_at_rest, self._brake_time())
-            is_off = self._try_until(self._goes_off, DISABLE_TIMEOUT_S) and self._stays_off()
+            is_off = self._try_until(self._goes_off, DISABLE_TIMEOUT_S) and stays_off(
+                self.clock, lambda: not self._is_powered(), TICK_S
+            )
         except DeviceError as error:
             raise DeviceError(f"{UNCONFIRMED} ({error})") from None
         finally:
@@ -626,30 +631,12 @@ class Dynamixel:
         velocity = self.link.read(protocol.PRESENT_VELOCITY)
         return abs(self.units.velocity(velocity)) <= STANDSTILL_RAD_S
 
+    def _try_until(self, done: Callable[[], bool], seconds: float) -> bool:
+        return try_until(self.clock, done, seconds, TICK_S)
+
     def _goes_off(self) -> bool:
         self.link.write(protocol.TORQUE_ENABLE, 0)
         return not self._is_powered()
-
-    def _stays_off(self) -> bool:
-        """Return whether the motor stays off: a program that still drives it would power it
-        again."""
-        for _ in range(round(STOP_CONFIRMED_S / TICK_S)):
-            if self._is_powered():
-                return False
-            self.clock.sleep(TICK_S)
-        return True
-
-    def _try_until(self, done: Callable[[], bool], seconds: float) -> bool:
-        """Retry until `done()` or for `seconds`, but at least three times."""
-        end = self.clock() + seconds
-        attempts = 0
-        while attempts < REFUSED or self.clock() <= end:
-            attempts += 1
-            with suppress(DeviceError):
-                if done():
-                    return True
-            self.clock.sleep(TICK_S)
-        return False
 
 
 def _is_applied(homing_offset: int) -> bool:

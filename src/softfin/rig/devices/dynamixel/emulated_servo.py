@@ -7,10 +7,7 @@ goal written before.
 """
 
 import contextlib
-import os
-import select
 import struct
-import tty
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol
@@ -33,6 +30,7 @@ from softfin.rig.devices.dynamixel.protocol import (
     encode_packet,
 )
 from softfin.rig.emulated_fin import EmulatedFin
+from softfin.rig.emulated_stream import Pty
 from softfin.rig.safety import OVERSHOOT_RAD
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
@@ -77,7 +75,7 @@ class EmulatedServo:
         """Answers and the times at which they are sent [s]."""
         self._set_eeprom()
         self.power_up()
-        self._line: _Line = _Socket(clock) if isinstance(clock, SimulatedClock) else _Pty()
+        self._line: _Line = _Socket(clock) if isinstance(clock, SimulatedClock) else Pty()
         self._thread = clock.spawn(self._run, "emulated servo")
 
     def address(self) -> JsonObject:
@@ -351,34 +349,6 @@ class _Line(Protocol):
 
     def close(self) -> None:
         """Unplug; may be called repeatedly."""
-
-
-class _Pty(_Line):
-    """A pseudo-terminal; its other end is the serial port."""
-
-    def __init__(self) -> None:
-        self._own, self._other = os.openpty()
-        tty.setraw(self._other)
-        os.set_blocking(self._own, False)
-        self.name = os.ttyname(self._other)
-        self.is_open = True
-
-    def receive(self, wait_s: float) -> bytes:
-        with contextlib.suppress(OSError, ValueError):
-            if self.is_open and select.select([self._own], [], [], wait_s)[0]:
-                return os.read(self._own, 4096)
-        return b""
-
-    def send(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):
-            if self.is_open:
-                os.write(self._own, data)
-
-    def close(self) -> None:
-        if self.is_open:
-            self.is_open = False
-            os.close(self._own)
-            os.close(self._other)
 
 
 class _Socket(_Line):

@@ -8,9 +8,7 @@ from pydantic import Field, model_validator
 
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import DriveConfig
-
-MAX_BRAKE_S = 0.5
-"""Longest allowed quick stop from the highest velocity [s]; softfin does not wait any longer."""
+from softfin.rig.drive_safety import check_braking
 
 
 class Epos2Config(DriveConfig):
@@ -71,13 +69,7 @@ class Epos2Config(DriveConfig):
                 f"node and host_node are both {self.node}; set host_node to a node number that is "
                 "not in use"
             )
-        braking = self.fastest_rad_s / self.quick_stop_rad_s2
-        if braking > MAX_BRAKE_S:
-            raise ValueError(
-                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking:.1f} s to stop from "
-                f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
-                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
-            )
+        check_braking(self.fastest_rad_s, self.quick_stop_rad_s2)
         # The drive's velocities are integers in rpm: at 0 rpm it would never reach a target.
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(

@@ -5,7 +5,6 @@ Limits and settings are written and read back. Nothing is stored permanently: th
 settings when powered down.
 """
 
-import contextlib
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.connection import CanConnection, SdoRefusal
 from softfin.rig.devices.epos2.exchange import Exchange
 from softfin.rig.devices.epos2.protocol import Bit, Object, State, fault_line
+from softfin.rig.drive_safety import stays_off, try_until
 from softfin.rig.safety import OVERSHOOT_RAD
 
 LISTEN_S = 0.3
@@ -32,9 +32,6 @@ BUS_REFUSES_S = 0.15
 """Time after which a bus that accepts no frames is considered dead, so that later attempts do not
 wait [s]. An adapter with a full queue refuses immediately and recovers within a few
 milliseconds."""
-STOP_CONFIRMED_S = 0.3
-"""Time for which the motor must stay off [s]; a program that still drives it would enable it again
-within this time."""
 LOSS_MARGIN_S = 0.3
 """Time in which a drive must fault after `heartbeat_s` without heartbeats, including braking at
 standstill [s]."""
@@ -483,17 +480,10 @@ def switch_off(exchange: Exchange) -> bool:
         return velocity is not None and abs(velocity) <= STANDSTILL_RPM
 
     def until(done: Callable[[], bool], seconds: float) -> bool:
-        """Retry until `done()` or for `seconds`, but at least three times: one unanswered request
-        may use up the time."""
-        end = exchange.clock() + seconds
-        attempts = 0
-        while attempts < REFUSED or exchange.clock() <= end:
-            attempts += 1
-            with contextlib.suppress(DeviceError):
-                if done():
-                    return True
-            exchange.clock.sleep(config.sync_s)
-        return False
+        return try_until(exchange.clock, done, seconds, config.sync_s)
+
+    def is_off() -> bool:
+        return protocol.decode(connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
 
     # Wait for as long as braking from the highest velocity may take; then disable the voltage even
     # if the motor still turns.
@@ -502,14 +492,4 @@ def switch_off(exchange: Exchange) -> bool:
     )
     if not until(lambda: order(protocol.DISABLE_VOLTAGE) in protocol.UNPOWERED, DISABLE_TIMEOUT_S):
         return False
-    return _stays_off(exchange)
-
-
-def _stays_off(exchange: Exchange) -> bool:
-    """Return whether the motor stays off: a program that still drives it would power it again."""
-    for _ in range(round(STOP_CONFIRMED_S / exchange.config.sync_s)):
-        state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
-        if state not in protocol.UNPOWERED:
-            return False
-        exchange.clock.sleep(exchange.config.sync_s)
-    return True
+    return stays_off(exchange.clock, is_off, config.sync_s)

@@ -4,16 +4,14 @@ Each line contains a counter, force x and force y [N] of an emulated fin, with n
 """
 
 import contextlib
-import os
 import socket
-import tty
 from collections.abc import Callable, Iterable
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
 from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.emulated_stream import iterate_due, measure
+from softfin.rig.emulated_stream import Pty, iterate_due, measure
 from softfin.rig.machine import rotation
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
@@ -49,7 +47,7 @@ class EmulatedLines:
         self._values = (0.0, 0.0)
         self._silent_until = 0.0
         self._closing = clock.event()
-        self._link: _Pty | _Udp = _Pty() if over == "serial" else _Udp(clock)
+        self._link: _Serial | _Udp = _Serial() if over == "serial" else _Udp(clock)
         self._thread = clock.spawn(self._run, "emulated line sensor")
 
     def address(self) -> JsonObject:
@@ -101,28 +99,12 @@ class EmulatedLines:
         return f"{self.count},{self._values[0]:.6f},{self._values[1]:.6f}\r\n".encode()
 
 
-class _Pty:
-    """A pseudo-terminal; its other end is the serial port."""
+class _Serial(Pty):
+    """A pseudo-terminal."""
 
     def __init__(self) -> None:
-        self._own, self._other = os.openpty()
-        tty.setraw(self._other)
-        os.set_blocking(self._own, False)
-        port = os.ttyname(self._other)
-        self.address: JsonObject = {"port": port, "address": None, "udp_port": None}
-        self._is_open = True
-
-    def send(self, data: bytes) -> None:
-        """Send bytes; unread ones are lost, as on a real port."""
-        if self._is_open:
-            os.write(self._own, data)
-
-    def close(self) -> None:
-        """Unplug; may be called repeatedly."""
-        if self._is_open:
-            self._is_open = False
-            os.close(self._own)
-            os.close(self._other)
+        super().__init__()
+        self.address: JsonObject = {"port": self.name, "address": None, "udp_port": None}
 
 
 class _Udp:
