@@ -9,6 +9,7 @@ import pytest
 
 from softfin.control.controller import Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.policy import PolicyObservation
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
@@ -86,3 +87,12 @@ def test_durations_of_a_preset_do_not_depend_on_the_clock() -> None:
         config = for_clock(preset, clock)
         assert config.task.reference_actions == 2 * preset.task.reference_actions
         assert config.num_updates == preset.num_updates
+
+
+def test_the_clock_of_a_controllers_file_is_that_of_its_policies() -> None:
+    clock = ActionClock.at(5, 1.2)
+    task = PolicyObservation().model_dump()
+    description = {"task": task, "clock": clock.model_dump(mode="json")}
+    assert PolicyObservation.from_description(description).clock == clock
+    # Before 0.1, files had the paper's clock and did not say so.
+    assert PolicyObservation.from_description({"task": task}).clock == ActionClock()

@@ -1,4 +1,4 @@
-"""What every drive does to keep a fin safe, apart from talking to its device."""
+"""Safety of a fin that is the same for every drive: checks before it is powered, and stops."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -1,4 +1,4 @@
-"""Times of the records in a sensor's stream, from noisy timestamps."""
+"""Times of the records in a sensor's stream, from noisy timestamps or another clock."""
 
 from collections import deque
 
@@ -38,3 +38,27 @@ class StreamClock:
         """Return the monotonic time of a position near the latest ones [s]."""
         # Every timestamp is late by an unknown delay, so the earliest estimate is the best.
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
+
+
+class FastestDelay:
+    """Difference between two clocks, from the message with the shortest delay.
+
+    The minimum is relaxed slowly, so that it follows clocks with different rates.
+    """
+
+    def __init__(self, clock_error: float) -> None:
+        self._clock_error = clock_error
+        """Largest relative difference between the rates of the clocks."""
+        self._lowest: float | None = None
+        self._received = 0.0
+
+    def update(self, sent: float, received: float) -> float:
+        """Return the smallest difference so far [s], after a message that was sent at a time on the
+        other clock and received at one on ours [s]."""
+        difference = received - sent
+        if self._lowest is not None:
+            relaxed = self._lowest + self._clock_error * (received - self._received)
+            difference = min(difference, relaxed)
+        self._lowest = difference
+        self._received = received
+        return difference

@@ -13,6 +13,7 @@ from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_
 
 from softfin.core.errors import one_line
 from softfin.rig.machine import Wrench
+from softfin.rig.stream_clock import FastestDelay
 from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
@@ -102,7 +103,7 @@ class StampClock:
 
     def __init__(self) -> None:
         self._first = self._newest = 0
-        self._offset = self._received = 0.0
+        self._fastest = FastestDelay(CREEP)
 
     def time(self, stamp_ns: int, received: float) -> float | None:
         """Return the time on our clock [s]; None if the timestamp is not later than the previous
@@ -111,17 +112,11 @@ class StampClock:
             return received
         if not self._first:
             self._first = stamp_ns
-            self._offset = received
-            self._received = received
         elif stamp_ns <= self._newest:
             return None
         self._newest = stamp_ns
         since = (stamp_ns - self._first) / SECOND_NS
-        # The offset is the minimum of (arrival - timestamp), i.e. that of the fastest message.
-        released = self._offset + CREEP * (received - self._received)
-        self._offset = min(released, received - since)
-        self._received = received
-        return since + self._offset
+        return since + self._fastest.update(since, received)
 
 
 class Subscription(Generic[Value]):

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesConfig
 from softfin.rig.loss_estimate import LossEstimate
+from softfin.rig.stream_clock import FastestDelay
 
 REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
@@ -112,27 +113,18 @@ class LagWatch:
         """Whether all lines were too late for some time, once."""
         self.lag_s = 0.0
         """Increase of the delay at that moment [s]."""
-        self._clock_error = clock_error
-        self._lowest: float | None = None
-        """Smallest difference between the two clocks, from the lines with the shortest delay."""
-        self._arrived = 0.0
+        self._fastest = FastestDelay(clock_error)
         self._lagging_since: float | None = None
 
     def take(self, sent: float, arrived: float) -> None:
         """Register a line that was sent at a time on the sensor's clock and arrived at one on the
         computer's [s]."""
-        difference = arrived - sent
-        lowest = difference
-        if self._lowest is not None:
-            drift = self._clock_error * (arrived - self._arrived)
-            lowest = min(difference, self._lowest + drift)
-        self._lowest = lowest
-        self._arrived = arrived
-        if difference - lowest <= MAX_LAG_S:
+        lag_s = arrived - sent - self._fastest.update(sent, arrived)
+        if lag_s <= MAX_LAG_S:
             self._lagging_since = None
             return
         if self._lagging_since is None:
             self._lagging_since = arrived
         if not self.is_lagging and arrived - self._lagging_since >= LAGGING_S:
             self.is_lagging = True
-            self.lag_s = difference - lowest
+            self.lag_s = lag_s
