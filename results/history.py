@@ -19,7 +19,6 @@ STEP_INPUTS = (
     "results/scripts.py",
     "studies/ablation.py",
     "studies/data_efficiency.py",
-    "studies/faster_reaction.py",
     "docs/calibration.yaml",
 )
 """Files that decide what a step computes, besides its command."""

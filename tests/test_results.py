@@ -1,7 +1,6 @@
 """README and docs state what ``results/*.json`` hold; finished steps are reused, and one seed is
 compared."""
 
-import importlib.util
 import json
 import math
 import subprocess
@@ -17,7 +16,6 @@ from results.parts.common import Work
 from results.steps import Runner, step
 
 from tests.documents import ROOT
-from tests.plants import StrokeFin
 from tests.test_documentation import understood
 
 STEPS = {each.name: each for part in parts((0,)).values() for each in part.steps}
@@ -162,42 +160,6 @@ def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
         assert figures[name]["seeds"] == [3, 4]
     for name in ("force_error_n", "a.roll_ripple"):
         assert figures[name]["seeds"] == [3]
-
-
-def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_is_given(
-    tmp_path, monkeypatch
-):
-    spec = importlib.util.spec_from_file_location(
-        "faster_reaction", ROOT / "studies" / "faster_reaction.py"
-    )
-    study = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(study)
-    trained = []
-
-    def train(plant, out, make_config, seeds, resume):
-        trained.append(tuple(seeds))
-
-    def score(controller, out, seed):
-        assert controller.name in (f"seed-{seed}", "controllers")
-        return {"seed": seed}
-
-    monkeypatch.setattr(study, "find_gaits", lambda *_: None)
-    monkeypatch.setattr(study, "find_plant", lambda name: StrokeFin())
-    monkeypatch.setattr(study, "train", train)
-    monkeypatch.setattr(study, "score", score)
-    (tmp_path / "run").mkdir()
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        ["faster_reaction", "surrogate", str(tmp_path / "run"), "--seeds", "2", "--seed", "9"],
-    )
-    study.main()
-    assert trained == [(9, 10)] * len(study.TRAINED)
-    written = json.loads((tmp_path / "run" / "faster_reaction.json").read_text())
-    seeds = {name: [row["seed"] for row in rows] for name, rows in written.items()}
-    assert seeds == {f"gaits {name}": [9] for name in study.CLOCKS} | {
-        f"single {name}": [9, 10] for name in study.TRAINED
-    }
 
 
 def test_a_seed_that_a_part_does_not_have_is_refused_before_anything_runs(run, tmp_path, capsys):

@@ -2,8 +2,8 @@
 
 Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate
 that is fitted to them and the controllers that are trained in it come from N; the tanks, noise and
-drift of their evaluation, and the search of baselines, come from `evaluation_seed` of N. The faster
-study and RecurrentPPO evaluate with N itself.
+drift of their evaluation, and the search of baselines, come from `evaluation_seed` of N.
+RecurrentPPO evaluates with N itself.
 """
 
 import json

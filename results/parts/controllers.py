@@ -311,25 +311,50 @@ def whole_map(seeds: Sequence[int]) -> Part:
     return Part("Over the whole map of the published surrogate", steps, read)
 
 
+CLOCKS = ("3,2", "4,1.5", "6,1", "8,0.75", "10,0.6", "6,2")
+"""Action rates [Hz] and windows [s] that are compared: windows of six actions, and of 2 s."""
+REPEATED_CLOCKS = ("3,2", "6,1", "10,0.6")
+"""Clocks of which all seeds are trained."""
+
+
 def faster(seeds: Sequence[int]) -> Part:
     """Settling time against ripple, with other action rates and windows."""
-    first = seeds[0]
-    command = (
-        f"python studies/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} "
-        f"--seed {first}"
-    )
-    study = step("faster", command, 20, tiny="--tiny")
+    trained = {
+        clock: [
+            train(
+                f"clock-{clock.replace(',', '-')}",
+                f"--controller single --clock {clock}",
+                f"streaming-{seed}",
+                seed,
+                2,
+            )
+            for seed in (seeds if clock in REPEATED_CLOCKS else seeds[:1])
+        ]
+        for clock in CLOCKS
+    }
+    options = "--repeats 1 --moving step"
+    judged = {
+        clock: [evaluate(each, "tank", "judged-tank", options, 1) for each in those]
+        for clock, those in trained.items()
+    }
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for key, rows in work.json("faster/faster_reaction.json").items():
-            own = [row["seed"] for row in rows]
-            figures[f"{key}.settling"] = figure(
-                "s", [row["settling"] for row in rows], own, "median"
-            )
-            figures[f"{key}.reach"] = figure("N", [row["reach"] for row in rows], own)
+        for clock, those in judged.items():
+            rows = work.evaluations(names_of(those))
+            own = [each.seed or 0 for each in those]
+            key = "{} Hz {} s".format(*clock.split(","))
             for score in ("error", "std", "raw_std"):
-                figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)
+                figures[f"{key}.{score}"] = figure(
+                    "N", [pair(row["mean"], f"{score}_n") for row in rows], own
+                )
+            reach = [row["conditions"]["reach_n"] for row in rows]
+            figures[f"{key}.reach"] = figure("N", reach, own)
+            step_times(figures, key, rows, own)
         return figures
 
-    return Part("Other action rates and windows", (dataset(first), streaming(first), study), read)
+    steps = (
+        *(each for seed in seeds for each in (dataset(seed), streaming(seed))),
+        *(each for clock in CLOCKS for each in (*trained[clock], *judged[clock])),
+    )
+    return Part("Other action rates and windows", steps, read)

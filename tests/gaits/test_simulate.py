@@ -55,6 +55,13 @@ def test_the_last_cycle_counts():
     assert not np.allclose(got, force[: PAPER_CLOCK.window_ticks].mean(axis=0), rtol=1e-3)
 
 
+def test_a_gait_is_not_repeated_for_a_shorter_time_if_windows_are_short():
+    clock = ActionClock.at(10, 0.6)
+    gait = np.resize(np.array([(0.5, 1), (-0.5, 1)], np.float32), (clock.window_actions, 2))
+    force = np.asarray(steady_state_force(StrokeFin(), gait, 3, KEY, clock))
+    assert force.shape == (10 * clock.window_ticks, 2)
+
+
 def test_in_the_steady_state_the_moving_average_has_no_ripple():
     gait = stroke(2, 1.0, -0.5, 0.75)
     force = np.asarray(steady_state_force(AnalyticFin(noise_n=0.0), gait, 3, KEY), float)

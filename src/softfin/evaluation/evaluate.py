@@ -68,8 +68,8 @@ class ExperimentsConfig(Configuration):
     """Reference forces (x, y) [N]; by default the paper's six, or for another fin the same pattern
     within its reach."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
-    """Duration of each experiment from rest [s], an integer; 30 in the paper. The first 2 s only
-    fill the first window."""
+    """Duration of each experiment from rest [s], an integer; 30 in the paper. Means begin once
+    the first window is full."""
     seeds: int = pydantic.Field(default=5, ge=1)
     """Number of repetitions with different randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)

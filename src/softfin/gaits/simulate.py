@@ -5,6 +5,7 @@ The survey simulates a grid of gaits, then pushes the boundary of their forces o
 ascent.
 """
 
+import math
 from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
@@ -33,7 +34,7 @@ PreTanh = Float[AnyArray, "gaits values"]
 """atanh of the actions of gaits [-]."""
 
 CYCLES = 3
-"""Default number of windows for which a gait is repeated from rest."""
+"""Default number of windows, of 2 s or more, for which a gait is repeated from rest."""
 
 MAX_SEARCHED_ACTION = 0.97
 """Maximum magnitude of initial actions; steps are taken in their atanh, which is infinite at 1."""
@@ -94,7 +95,8 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
 def simulate_gait(
     plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
 ) -> GaitResponse:
-    """Repeat a gait from rest for `cycles` windows and return the forces of the last window."""
+    """Repeat a gait from rest, as in `steady_state_force`, and return the forces of the last
+    window."""
     window = clock.window_ticks
     last = steady_state_force(plant, gait, cycles, key, clock)[-window:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(window)))
@@ -103,9 +105,13 @@ def simulate_gait(
 def steady_state_force(
     plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
 ) -> Float[Array, "ticks 2"]:
-    """Return the force at each tick of a gait that is repeated from rest for `cycles` windows
-    [N]."""
-    actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
+    """Return the force at each tick of a gait that is repeated from rest for `cycles` windows [N].
+
+    With windows shorter than the paper's, it is repeated for at least the same time, because the
+    wake of a fin does not settle sooner.
+    """
+    windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
+    actions = jnp.tile(jnp.asarray(gait), (windows, 1))
     commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
     return jnp.asarray(hold(plant, plant.init(key), commands, clock)[1].force)
 
@@ -193,7 +199,8 @@ class SurveyConfig(Configuration):
     """Configuration of the survey of reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest; only the last is evaluated."""
+    """Number of windows, or of periods of 2 s if windows are shorter, for which a gait is repeated
+    from rest; only the last window is evaluated."""
     batch: PositiveInt = 128
     """Number of gaits simulated together."""
     directions: int = Field(default=32, ge=8)
