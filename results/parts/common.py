@@ -135,7 +135,7 @@ TINY = {
     "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 "
     "--set spacing_n=1",
     "ppo": f"{TINY_POLICY} --set steps=960",
-    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set "
+    "gradient": f"{TINY_POLICY} --set steps=240 --set gradient.num_envs=4 --set "
     "gradient.warm_start=false",
 }
 """Options of `softfin train` at the tiny scale, by what it trains."""
