@@ -314,7 +314,7 @@ def whole_map(seeds: Sequence[int]) -> Part:
 CLOCKS = ("3,2", "4,1.5", "6,1", "8,0.75", "10,0.6", "6,2")
 """Action rates [Hz] and windows [s] that are compared: windows of six actions, and of 2 s."""
 REPEATED_CLOCKS = ("3,2", "6,1", "10,0.6")
-"""Clocks of which all seeds are trained."""
+"""Clocks that are trained with every seed."""
 
 
 def faster(seeds: Sequence[int]) -> Part:

@@ -140,6 +140,7 @@ class RigCommissionArguments(Armed, CommandOptions):
             )
         if self.yes:
             raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
+        # A wrong weight is refused before the operator confirms.
         choose_weight(config, self.weight)
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
         operator = TerminalOperator()

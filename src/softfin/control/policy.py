@@ -61,7 +61,7 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
 
     @classmethod
     def from_description(cls, description: JsonObject) -> "PolicyObservation":
-        """Build from a controller's description, whose own clock counts."""
+        """Build from a controller's description; its `clock` replaces that of its task."""
         return cls.model_validate(description["task"] | {"clock": description.get("clock", {})})
 
     @property

@@ -54,8 +54,8 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows, or of periods of 2 s if windows are shorter, for which a gait is repeated
-    from rest. Only the last window is evaluated, when fin and wake are in a steady state."""
+    """Number of windows for which a gait is repeated from rest, more if they are below 2 s. Only
+    the last window is evaluated, when the fin and its wake are in a steady state."""
     steps: PositiveInt = 8
     """Number of Gauss-Newton steps; the last `EXACT` of them reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05

@@ -34,7 +34,7 @@ PreTanh = Float[AnyArray, "gaits values"]
 """atanh of the actions of gaits [-]."""
 
 CYCLES = 3
-"""Default number of windows, of 2 s or more, for which a gait is repeated from rest."""
+"""Default number of windows for which a gait is repeated from rest (see `steady_state_force`)."""
 
 MAX_SEARCHED_ACTION = 0.97
 """Maximum magnitude of initial actions; steps are taken in their atanh, which is infinite at 1."""
@@ -107,8 +107,8 @@ def steady_state_force(
 ) -> Float[Array, "ticks 2"]:
     """Return the force at each tick of a gait that is repeated from rest for `cycles` windows [N].
 
-    With windows shorter than the paper's, it is repeated for at least the same time, because the
-    wake of a fin does not settle sooner.
+    Windows below 2 s are repeated for at least the same time as windows of 2 s, because a shorter
+    window does not make the wake settle sooner.
     """
     windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
     actions = jnp.tile(jnp.asarray(gait), (windows, 1))
@@ -199,8 +199,8 @@ class SurveyConfig(Configuration):
     """Configuration of the survey of reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows, or of periods of 2 s if windows are shorter, for which a gait is repeated
-    from rest; only the last window is evaluated."""
+    """Number of windows for which a gait is repeated from rest, more if they are below 2 s; only
+    the last window is evaluated."""
     batch: PositiveInt = 128
     """Number of gaits simulated together."""
     directions: int = Field(default=32, ge=8)

@@ -1,4 +1,5 @@
-"""Safety of a fin that is the same for every drive: checks before it is powered, and stops."""
+"""Safety code that all drives share: checks before the motor is powered, and the last steps of a
+stop."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -10,12 +11,11 @@ from softfin.rig.safety import OVERSHOOT_RAD
 
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
-
 MAX_BRAKE_S = 0.5
 """Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 MIN_ATTEMPTS = 3
-"""Minimum number of attempts of a stop, because one unanswered request may use up its time."""
+"""Minimum number of attempts at each step of a stop; one unanswered request may use up its time."""
 
 STOP_CONFIRMED_S = 0.3
 """Time for which the motor must stay off [s]; a program that still drives it would power it again
@@ -48,7 +48,7 @@ def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: fl
 
 
 def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
-    """Return whether a motor stays off, looking every `step_s` [s]: a program that still drives it
+    """Return whether a motor stays off, checking every `step_s` [s]: a program that still drives it
     would power it again."""
     for _ in range(round(STOP_CONFIRMED_S / step_s)):
         if not is_off():

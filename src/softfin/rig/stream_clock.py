@@ -40,8 +40,8 @@ class StreamClock:
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
 
 
-class FastestDelay:
-    """Difference between two clocks, from the message with the shortest delay.
+class ShortestDelay:
+    """Difference between two clocks, estimated from the message with the shortest delay.
 
     The minimum is relaxed slowly, so that it follows clocks with different rates.
     """
@@ -53,8 +53,8 @@ class FastestDelay:
         self._received = 0.0
 
     def update(self, sent: float, received: float) -> float:
-        """Return the smallest difference so far [s], after a message that was sent at a time on the
-        other clock and received at one on ours [s]."""
+        """Return the difference [s] after a message that was sent at a time on the other clock and
+        received at one on ours [s]."""
         difference = received - sent
         if self._lowest is not None:
             relaxed = self._lowest + self._clock_error * (received - self._received)

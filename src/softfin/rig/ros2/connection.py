@@ -13,7 +13,7 @@ from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_
 
 from softfin.core.errors import one_line
 from softfin.rig.machine import Wrench
-from softfin.rig.stream_clock import FastestDelay
+from softfin.rig.stream_clock import ShortestDelay
 from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
@@ -103,7 +103,7 @@ class StampClock:
 
     def __init__(self) -> None:
         self._first = self._newest = 0
-        self._fastest = FastestDelay(CREEP)
+        self._shortest = ShortestDelay(CREEP)
 
     def time(self, stamp_ns: int, received: float) -> float | None:
         """Return the time on our clock [s]; None if the timestamp is not later than the previous
@@ -116,7 +116,7 @@ class StampClock:
             return None
         self._newest = stamp_ns
         since = (stamp_ns - self._first) / SECOND_NS
-        return since + self._fastest.update(since, received)
+        return since + self._shortest.update(since, received)
 
 
 class Subscription(Generic[Value]):

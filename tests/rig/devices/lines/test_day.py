@@ -51,11 +51,11 @@ def pass_a_day(rig, tmp_path, capsys):
     with contextlib.suppress(SystemExit):
         main(["rig", "check", *told, "--json"])
     rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
-    if rows["100 Hz loop"]["state"] == "wrong":
+    if rows.get("100 Hz loop", {}).get("state") == "wrong":
         pytest.skip("the computer is too busy for a rig in real time")
+    assert {row["state"] for row in rows.values()} <= {"well", "note"}
     # In real time, the measured rate depends on the computer.
     assert re.match(r"lines, [23]\d\d/s, delay ", rows["force sensor"]["text"])
-    assert {row["state"] for row in rows.values()} <= {"well", "note"}
     data = tmp_path / "data"
     counts = ["--logs", "1", "--test-logs", "1", "--rows", "300"]
     main(["collect", *plant, "--out", str(data), *counts])

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesConfig
 from softfin.rig.loss_estimate import LossEstimate
-from softfin.rig.stream_clock import FastestDelay
+from softfin.rig.stream_clock import ShortestDelay
 
 REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
@@ -113,13 +113,13 @@ class LagWatch:
         """Whether all lines were too late for some time, once."""
         self.lag_s = 0.0
         """Increase of the delay at that moment [s]."""
-        self._fastest = FastestDelay(clock_error)
+        self._shortest = ShortestDelay(clock_error)
         self._lagging_since: float | None = None
 
     def take(self, sent: float, arrived: float) -> None:
         """Register a line that was sent at a time on the sensor's clock and arrived at one on the
         computer's [s]."""
-        lag_s = arrived - sent - self._fastest.update(sent, arrived)
+        lag_s = arrived - sent - self._shortest.update(sent, arrived)
         if lag_s <= MAX_LAG_S:
             self._lagging_since = None
             return
