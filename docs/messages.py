@@ -22,7 +22,7 @@ def messages(package: Path, kinds: Collection[str]) -> dict[str, list[str]]:
     each once."""
     found: dict[str, set[str]] = defaultdict(set)
     for file in sorted(package.rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in ast.walk(_with_constants(ast.parse(file.read_text()))):
             if (
                 isinstance(node, ast.Raise)
                 and isinstance(node.exc, ast.Call)
@@ -47,6 +47,22 @@ def table(texts: list[str]) -> Iterator[str]:
             said = text
             remedy = ""
         yield f"| {_escaped(said)} | {_escaped(remedy)} |"
+
+
+def _with_constants(module: ast.Module) -> ast.Module:
+    """Put the texts of a module's constants in place of their names in f-strings."""
+    texts = {
+        node.targets[0].id: node.value
+        for node in module.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    }
+    for node in ast.walk(module):
+        if isinstance(node, ast.FormattedValue) and isinstance(node.value, ast.Name):
+            node.value = texts.get(node.value.id, node.value)
+    return module
 
 
 def _text(node: ast.expr) -> str:

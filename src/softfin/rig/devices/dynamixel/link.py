@@ -95,7 +95,8 @@ class SerialPort:
 
     def discard(self) -> None:
         """Drop the bytes that have arrived."""
-        self._serial.reset_input_buffer()
+        # `reset_input_buffer` raises termios.error, which is not an OSError, at an unplugged port.
+        self._serial.read(self._serial.in_waiting)
 
     def close(self) -> None:
         """Close the port."""
