@@ -81,7 +81,7 @@ def _name(node: ast.expr) -> str:
     """What is filled in, as the code calls it: ``{path}`` and ``{self.path}`` are both PATH."""
     if isinstance(node, ast.Name | ast.Attribute):
         name = (node.id if isinstance(node, ast.Name) else node.attr).strip("_").upper()
-        return {"STRERROR": "REASON", "SOURCE": "FILE", "AGAIN": GAP, "REMEDY": GAP}.get(name, name)
+        return {"STRERROR": "REASON", "SOURCE": "FILE", "REMEDY": GAP}.get(name, name)
     return GAP
 
 

@@ -140,8 +140,7 @@ class RigCommissionArguments(Armed, CommandOptions):
             )
         if self.yes:
             raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
-        # A wrong weight is refused before the operator confirms.
-        choose_weight(config, self.weight)
+        weight_kg = choose_weight(config, self.weight)
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
@@ -149,7 +148,7 @@ class RigCommissionArguments(Armed, CommandOptions):
             # Some steps power the motor here, others move it from a child process.
             with interrupted_by_signals():
                 step = commission_step(
-                    self.rig, config, number, operator, REAL, weight_kg=self.weight
+                    self.rig, config, number, operator, REAL, weight_kg=weight_kg
                 )
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)

@@ -59,7 +59,7 @@ class Pty:
         return b""
 
     def send(self, data: bytes) -> None:
-        """Send bytes. If nobody reads them, they are lost, as on a real port."""
+        """Send bytes; those that nobody reads are lost, as on a real port."""
         with contextlib.suppress(OSError):
             if self.is_open:
                 os.write(self._own, data)

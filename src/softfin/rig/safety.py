@@ -144,6 +144,7 @@ class Guard:
         config = self.config
         if sample.complaints:
             return Trip("device", sample.complaints[0])
+        optional = (sample.current, sample.following_error, sample.voltage)
         numbers = (
             sample.time,
             sample.angle,
@@ -151,9 +152,7 @@ class Guard:
             sample.force_time,
             *sample.wrench,
             *(sample.peak or ()),
-            sample.current or 0.0,
-            sample.following_error or 0.0,
-            sample.voltage or 0.0,
+            *(number for number in optional if number is not None),
         )
         if not all(map(math.isfinite, numbers)):
             return Trip(

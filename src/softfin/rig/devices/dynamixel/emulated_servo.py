@@ -345,7 +345,7 @@ class _Line(Protocol):
         """Wait for bytes for up to `wait_s` [s]."""
 
     def send(self, data: bytes) -> None:
-        """Send bytes. If nobody reads them, they are lost, as on a real port."""
+        """Send bytes."""
 
     def close(self) -> None:
         """Unplug; may be called repeatedly."""
