@@ -104,14 +104,22 @@ def test_nothing_moves_before_it_is_proved_that_the_drive_stops_by_itself(file, 
 
 
 @pytest.mark.parametrize(
-    "change", [{"drive_serial": 1}, {"drive_serial": None}, {"heartbeat_s": 0.3}, {"host_node": 99}]
+    ("change", "told"),
+    [
+        ({"drive": {"type": "epos2", "node": 1, "serial": 1}}, "serial 1 (now "),
+        ({"drive": {"type": "epos2", "node": 1, "serial": None}}, "serial None (now "),
+        ({"drive": {"type": "other"}}, "type other (now epos2)"),
+        ({"heartbeat_s": 0.3}, "heartbeat_s 0.3 (now 0.2)"),
+        ({"host_node": 99}, "host_node 99 (now 126)"),
+    ],
 )
-def test_a_proof_of_another_drive_or_with_other_settings_does_not_count(file, capsys, change):
+def test_a_proof_of_another_drive_or_with_other_settings_does_not_count(file, capsys, change, told):
     record = Path(file).with_suffix(".record.json")
     proof = json.loads(record.read_text())["stop_proof"]
     record.write_text(json.dumps({"stop_proof": proof | change}))
     line, _ = fails(capsys, "rig", "zero", "--rig", file, "--angle", "--arm", "--yes")
-    assert "with this drive, heartbeat_s and host_node; run: softfin rig check" in line
+    assert "no proof yet that its drive stops if softfin dies, because it was last proved" in line
+    assert told in line
     main(["rig", "check", "--rig", file, "--json"])
     assert found(capsys)["own stop"]["state"] == "note"
 

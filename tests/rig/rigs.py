@@ -113,7 +113,11 @@ def prove(path: Path) -> None:
     config = load_rig(path)
     proof = StopProof(
         date="2026-01-01T00:00:00+00:00",
-        drive_serial=drive_values(config.drive)[protocol.SERIAL_NUMBER],
+        drive={
+            "type": config.drive.type,
+            "node": config.drive.node,
+            "serial": drive_values(config.drive)[protocol.SERIAL_NUMBER],
+        },
         heartbeat_s=config.drive.heartbeat_s,
         host_node=config.drive.host,
         faulted_after_s=config.drive.heartbeat_s,

@@ -1,6 +1,7 @@
 """One program at a time uses a device; within this process, and between processes."""
 
 import os
+import signal
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -38,6 +39,7 @@ sys.stdin.read()
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path)
+    tmp_path.chmod(0o1777)
     return tmp_path
 
 
@@ -121,14 +123,56 @@ def test_a_link_in_place_of_the_lock_is_not_followed(folder):
     assert precious.read_text() == "kept"
 
 
-def test_without_a_folder_for_locks_the_folder_for_temporary_files_serves(tmp_path, monkeypatch):
-    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path / "missing")
+@pytest.mark.parametrize("kind", ["missing", "of root only"])
+def test_a_folder_that_not_every_user_may_write_to_is_used_by_nobody(tmp_path, monkeypatch, kind):
+    """Root could write to it, but would then not see the locks of other users."""
+    official = tmp_path / "lock"
+    if kind == "of root only":
+        official.mkdir(mode=0o755)
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    monkeypatch.setattr(locks, "LOCK_FOLDER", official)
+    monkeypatch.setattr(locks, "SHARED_FOLDER", shared)
+    # A folder of this user's own, as on macOS or by TMPDIR.
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     lock = DeviceLock("drive 1", "can0", 1)
     lock.acquire(REAL)
     assert lock.note is None
-    assert [file.name for file in tmp_path.iterdir()] == ["softfin-can0_1"]
+    assert [file.name for file in shared.iterdir()] == ["softfin-can0_1"]
     lock.release()
+
+
+def test_the_program_that_has_a_lock_is_asked_to_end(folder):
+    lock = DeviceLock("drive 1", "can0", 1)
+    with another_program(folder) as other:
+        assert lock.take_over(REAL)
+        assert other.wait(HANG_S) == -signal.SIGTERM
+    lock.release()
+
+
+def test_a_program_that_does_not_end_keeps_its_lock(folder, monkeypatch):
+    monkeypatch.setattr(locks, "TAKE_OVER_S", 0.05)
+    with another_program(folder) as other:
+        # A stopped process does not handle signals.
+        other.send_signal(signal.SIGSTOP)
+        lock = DeviceLock("drive 1", "can0", 1)
+        assert not lock.take_over(REAL)
+        assert other.poll() is None
+
+
+def test_a_program_that_only_has_the_number_of_a_holder_is_left_alone(folder, monkeypatch):
+    monkeypatch.setattr(locks, "TAKE_OVER_S", 0.05)
+    holder = DeviceLock("drive 1", "can0", 1)
+    holder.acquire(REAL)
+    (file,) = folder.iterdir()
+    innocent = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=-1)
+    try:
+        file.write_text(f"{innocent.pid}\n")
+        assert not DeviceLock("drive 1", "can0", 1).take_over(REAL)
+        assert innocent.poll() is None
+    finally:
+        holder.release()
+        innocent.communicate(timeout=HANG_S)
 
 
 def test_a_device_in_simulated_time_is_not_locked(folder):

@@ -240,12 +240,14 @@ class Armed(Configuration):
     """With --arm, skip the confirmation. For scripts only: make sure that no one can reach the
     fin."""
 
-    def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:
+    def confirm(
+        self, robot: "RobotSetup", motion: str | None = None, needs_proof: bool = True
+    ) -> None:
         """Print an open machine's notes and ask the operator to confirm the motion.
 
-        `motion` describes the motion if the machine does not follow commands. The rig must be ready
-        unless `proves` is set, for motions that make it ready. Raises ConfigurationError if the
-        motion is not confirmed, and RigError if the rig is not ready.
+        `motion` describes the motion if the machine does not follow commands. With
+        `needs_proof`, the rig must be ready, as in `RobotSetup.check_ready`. Raises
+        ConfigurationError if the motion is not confirmed, and RigError if the rig is not ready.
         """
         name = robot.machine.name
         for note in robot.machine.notes:
@@ -255,7 +257,7 @@ class Armed(Configuration):
         if not self.arm:
             state = "connected, but not armed" if motion is None else "not armed"
             raise ConfigurationError(f"{name}: {state}; nothing moves without --arm")
-        if not proves:
+        if needs_proof:
             robot.check_ready()
         if self.yes:
             return

@@ -29,7 +29,8 @@ PROVING = (
     "drive stops by itself"
 )
 COMMISSIONING = "each step announces what moves before it moves"
-ZEROING = "the motor is powered briefly and holds the fin; its present angle becomes zero"
+ZEROING = "the fin's present angle becomes zero"
+ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
 
 class RigCheckArguments(Armed, CommandOptions):
@@ -64,7 +65,7 @@ class RigCheckArguments(Armed, CommandOptions):
         # If the terminal closes, the motor must not stay powered: the drive's own stop is unproven.
         with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
             rig.drive.open()
-            self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
+            self.confirm(RobotSetup(rig, config.safety), PROVING, needs_proof=False)
             proof = prove_stop(config, rig.drive)
         after_ms = 1000 * proof.faulted_after_s
         text = (
@@ -102,13 +103,15 @@ class RigZeroArguments(Armed, CommandOptions):
         result: JsonObject = {}
         if both or self.angle:
             with interrupted_by_signals():
-                result |= zero_angle(
-                    config,
-                    confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING),
-                )
+                result |= zero_angle(config, confirm=self._confirm_zeroing)
         if both or self.force:
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
+
+    def _confirm_zeroing(self, rig: Rig) -> None:
+        is_powered = rig.config.drive.ZERO_POWERS_MOTOR
+        motion = ZEROING_POWERED if is_powered else ZEROING
+        self.confirm(RobotSetup(rig, rig.config.safety), motion, needs_proof=is_powered)
 
 
 class RigCommissionArguments(Armed, CommandOptions):
@@ -141,7 +144,7 @@ class RigCommissionArguments(Armed, CommandOptions):
         if self.yes:
             raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
         weight_kg = choose_weight(config, self.weight)
-        self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
+        self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, needs_proof=False)
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
@@ -218,11 +221,15 @@ class RigEmulateArguments(Common):
         plant, option = (
             ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         )
+        prove = f"softfin rig check{option} --prove --arm"
+        zero = f"softfin rig zero{option} --arm"
+        # A proof depends on the zero of a drive that keeps it, but a zero that powers the motor
+        # needs a proof.
+        is_proved_first = load_rig(self.rig).drive.ZERO_POWERS_MOTOR
+        steps = [prove, zero] if is_proved_first else [zero, prove]
         sys.stdout.write(
             f"{self.rig}: written; each command emulates this rig in simulated time. Next: "
-            "softfin rig check"
-            f"{option} --prove --arm, then softfin rig zero{option} --arm, then softfin collect "
-            f"--plant {plant} --arm\n"
+            f"{', then '.join(steps)}, then softfin collect --plant {plant} --arm\n"
         )
 
 

@@ -133,7 +133,7 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
     if rig.config.file is None:
         return
     try:
-        proof = check_proof(rig.config, rig.drive.serial)
+        proof = check_proof(rig.config, rig.drive)
     except RigError as error:
         yield CheckResult("own stop", "note", str(error))
         return

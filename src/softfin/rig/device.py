@@ -64,6 +64,8 @@ class DriveConfig(DeviceConfig):
     DEFAULT_TYPE = "epos2"
     NEEDS_BUS: ClassVar[bool] = False
     """Whether the rig's file needs a CAN bus for this drive."""
+    ZERO_POWERS_MOTOR: ClassVar[bool] = True
+    """Whether `Drive.zero` powers the motor, which needs a proof that the drive stops by itself."""
 
     angle_min_rad: float = PAPER_LIMITS.angle_min
     """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
@@ -183,6 +185,12 @@ class Drive(Protocol):
     @property
     def serial(self) -> int | None:
         """Serial number; None if the drive does not report it or has not been connected."""
+
+    @property
+    def identity(self) -> dict[str, int | str | None]:
+        """Properties of the open drive on which its own stop may depend, by name: its type and
+        what identifies it, and settings such as a homing offset. A proof of the stop holds only
+        while they do not change."""
 
     @property
     def notes(self) -> tuple[str, ...]:

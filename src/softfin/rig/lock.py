@@ -10,6 +10,8 @@ lock two different files of the same name.
 import contextlib
 import os
 import re
+import signal
+import stat
 import tempfile
 from pathlib import Path
 
@@ -19,6 +21,15 @@ from softfin.rig.simulated_clock import SimulatedClock
 
 LOCK_FOLDER = Path("/run/lock")
 """Folder for device locks on Linux (FHS 3.0), often writable by every user."""
+
+SHARED_FOLDER = Path("/tmp")
+"""Folder for device locks where not every user may write to `LOCK_FOLDER`; not the folder that
+TMPDIR names, which may differ between users."""
+
+TAKE_OVER_S = 1.0
+"""Time for which `DeviceLock.take_over` waits for the other program to stop its fin and end [s]."""
+
+TAKE_OVER_STEP_S = 0.02
 
 
 class DeviceLock:
@@ -51,6 +62,32 @@ class DeviceLock:
         except BaseException:
             os.close(descriptor)
             raise
+
+    def take_over(self, clock: Clock) -> bool:
+        """Ask another program that holds the lock to stop its fin and end (SIGTERM), and wait
+        `TAKE_OVER_S` for the lock; return whether it is acquired."""
+        end = clock() + TAKE_OVER_S
+        is_asked = False
+        while True:
+            try:
+                self.acquire(clock)
+                return True
+            except RigError:
+                if clock() >= end:
+                    return False
+            if not is_asked:
+                is_asked = self._ask_holder()
+            clock.sleep(TAKE_OVER_STEP_S)
+
+    def _ask_holder(self) -> bool:
+        """Send SIGTERM to the program that holds the lock; return whether there was one."""
+        path = _folder() / self._file
+        with contextlib.suppress(OSError):
+            number = path.read_text(errors="replace").strip()
+            if number.isdecimal() and _has_open(int(number), path):
+                os.kill(int(number), signal.SIGTERM)
+                return True
+        return False
 
     def release(self) -> None:
         """Release the lock; may be called repeatedly and never raises."""
@@ -89,7 +126,25 @@ class DeviceLock:
 
 
 def _folder() -> Path:
-    return LOCK_FOLDER if os.access(LOCK_FOLDER, os.W_OK) else Path(tempfile.gettempdir())
+    """Return the same folder for every user, who would otherwise not see each other's locks."""
+    with contextlib.suppress(OSError):
+        if LOCK_FOLDER.stat().st_mode & stat.S_IWOTH:
+            return LOCK_FOLDER
+    return SHARED_FOLDER if SHARED_FOLDER.is_dir() else Path(tempfile.gettempdir())
+
+
+def _has_open(process: int, path: Path) -> bool:
+    """Return whether a process has a file open; a number in a file could also be that of a program
+    that has ended, or of any other.
+
+    False where this cannot be determined (there is no /proc, or the process is another user's).
+    """
+    with contextlib.suppress(OSError):
+        for descriptor in Path(f"/proc/{process}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                if descriptor.samefile(path):
+                    return True
+    return False
 
 
 def _open(path: Path) -> int:

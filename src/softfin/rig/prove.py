@@ -32,47 +32,43 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
         raise
     proof = StopProof(
         date=date_and_time(),
-        drive_serial=drive.serial,
+        drive=drive.identity,
         heartbeat_s=config.drive.heartbeat_s,
         host_node=config.drive.host,
-        drive=_identify(config, drive.serial),
         faulted_after_s=round(faulted_after_s, 4),
     )
     save_record(config.file, record.model_copy(update={"stop_proof": proof}))
     return proof
 
 
-def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None:
-    """Return the proof for this drive and these settings; raises RigError if there is none.
+def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
+    """Return the proof for the open drive and these settings; raises RigError if there is
+    none.
 
     Returns None for a rig without a file, which was built in Python and has no record.
     """
     if config.file is None:
         return None
     proof = load_record(config.file).stop_proof
-    # With another drive, timeout or node number, the drive may react differently.
-    settings = (
-        drive_serial,
-        config.drive.heartbeat_s,
-        config.drive.host,
-        _identify(config, drive_serial),
-    )
-    if proof is not None and settings == (
-        proof.drive_serial,
-        proof.heartbeat_s,
-        proof.host_node,
-        proof.drive,
-    ):
+    changes = "" if proof is None else _describe_changes(proof, config, drive)
+    if proof is not None and not changes:
         return proof
     problem = "no proof yet that its drive stops if softfin dies"
-    if proof is not None:
-        problem += " with this drive, heartbeat_s and host_node"
+    if changes:
+        problem += f", because it was last proved with {changes}"
     raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
 
 
-def _identify(config: RigConfig, drive_serial: int | None) -> str | None:
-    """Return what identifies a drive without a serial number; None for one that has it."""
-    return f"{config.drive.type}, {config.drive.summary}" if drive_serial is None else None
+def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
+    """Describe the differences from the drive and settings of a proof, with which the drive may
+    react differently; empty if there are none."""
+    before = proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node}
+    now = drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host}
+    return ", ".join(
+        f"{name} {before.get(name)} (now {now.get(name)})"
+        for name in sorted(before.keys() | now.keys())
+        if before.get(name) != now.get(name)
+    )
 
 
 def proving_command(file: Path) -> str:

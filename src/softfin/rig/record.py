@@ -22,14 +22,12 @@ class StopProof(Configuration):
 
     date: str
     """Date and time, as ISO 8601."""
-    drive_serial: int | None
-    """Serial number of the drive (0x1018.4); None if the drive does not report it."""
+    drive: dict[str, int | str | None]
+    """`identity` of the drive during the test."""
     heartbeat_s: float = Field(gt=0)
     """Value of `drive.heartbeat_s` during the test [s]."""
     host_node: int | None = Field(ge=1, le=127)
     """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
-    drive: str | None = None
-    """Type and settings that identify a drive without a serial number."""
     faulted_after_s: float = Field(ge=0)
     """Time from the last heartbeat to the drive's fault [s]."""
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.errors import RigError
 from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
 from softfin.rig.config import RigConfig
@@ -49,7 +50,7 @@ class Rig:
     def check_ready(self) -> None:
         """Raise RigError unless it has been proved that the drive stops by itself if softfin dies;
         the drive must be open."""
-        check_proof(self.config, self.drive.serial)
+        check_proof(self.config, self.drive)
 
     @property
     def stop_unconfirmed(self) -> str | None:
@@ -128,10 +129,10 @@ def zero_angle(
     clock: Clock | None = None,
     confirm: Callable[[Rig], object] = lambda rig: None,
 ) -> JsonObject:
-    """Set the fin's current angle to `drive.zero_offset_rad` (default 0); the motor is powered, but
-    nothing moves.
+    """Set the fin's current angle to `drive.zero_offset_rad` (default 0); nothing moves.
 
-    `confirm` is called after the drive is opened and before its motor is powered.
+    `confirm` is called after the drive is opened, before its motor may be powered. The result
+    contains `own_stop` if the drive's own stop must be proved again with the new zero.
     """
     rig = Rig(config, clock)
     drive = rig.drive
@@ -140,9 +141,14 @@ def zero_angle(
         confirm(rig)
         before = drive.read_angle()
         drive.zero()
-        return {
+        result: JsonObject = {
             "angle_before_rad": round(before, 5),
             "angle_after_rad": round(drive.read_angle(), 5),
         }
+        try:
+            check_proof(config, drive)
+        except RigError as error:
+            result["own_stop"] = str(error)
+        return result
     finally:
         rig.close()

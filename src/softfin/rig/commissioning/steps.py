@@ -547,7 +547,7 @@ def _require_proof(context: StepContext) -> None:
     rig = context.rig()
     try:
         rig.drive.connect()
-        check_proof(context.config, rig.drive.serial)
+        check_proof(context.config, rig.drive)
     finally:
         rig.close()
 

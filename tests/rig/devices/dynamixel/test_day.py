@@ -7,11 +7,11 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.core.errors import RigError
-from softfin.rig.config import load_rig
+from softfin.rig.devices.dynamixel import protocol
+from softfin.rig.devices.dynamixel.emulated_servo import MOUNTED_TICKS
 from softfin.rig.emulation.rig import rigs
-from softfin.rig.prove import check_proof
 from softfin.rig.record import load_record
+from tests.cli.test_cli import fails
 from tests.control.folders import folder_option
 from tests.rig.bags import counts_of
 from tests.rig.rigs import emulated_by_command
@@ -31,16 +31,14 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     values = yaml.safe_load(rig.read_text())
     assert values["drive"]["type"] == "dynamixel"
     assert "bus" not in values
+    # The zero needs no motor, and so no proof; the proof depends on the zero.
+    main(["rig", "zero", *options, "--arm", "--yes"])
+    assert "own_stop: rig of emulated: no proof yet" in capsys.readouterr().out
     main(["rig", "check", *options, "--prove", "--arm", "--yes"])
     proof = load_record(rig).stop_proof
     assert 0.1 <= proof.faulted_after_s <= 0.15
-    for changed in ({"id": 9}, {"model": "XH430-V350"}):
-        rig.write_text(yaml.safe_dump(values | {"drive": values["drive"] | changed}))
-        with pytest.raises(RigError, match="no proof yet that its drive stops"):
-            check_proof(load_rig(rig), None)
-    rig.write_text(yaml.safe_dump(values))
-    assert check_proof(load_rig(rig), None) == proof
-    main(["rig", "zero", *options, "--arm", "--yes"])
+    assert proof.drive["firmware"] == 48
+    assert proof.drive["homing_offset"] == -MOUNTED_TICKS
     capsys.readouterr()
     # The next command starts from the state file: the servo has kept its zero.
     rigs.pop(rig.resolve()).close()
@@ -66,3 +64,22 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
     assert (out / "evaluation.json").exists()
     main(["rig", "stop", *options])
+
+
+def test_a_new_zero_voids_the_proof_of_the_servos_own_stop(rig, capsys):
+    options = ["--rig", str(rig)]
+    main(["rig", "zero", *options, "--angle", "--arm", "--yes"])
+    main(["rig", "check", *options, "--prove", "--arm", "--yes"])
+    move = ["collect", "--plant", f"rig:{rig}", "--arm", "--yes", "--out", str(rig.parent / "data")]
+    servo = rigs[rig.resolve()].drive
+    servo.set(protocol.HOMING_OFFSET, 200)
+    line, code = fails(capsys, *move)
+    assert (
+        f"because it was last proved with homing_offset {-MOUNTED_TICKS} (now 200); run: softfin "
+        "rig check" in line
+    )
+    assert code == 2
+    assert not servo.get(protocol.TORQUE_ENABLE)
+    main(["rig", "check", *options, "--json"])
+    rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["own stop"]["state"] == "note"

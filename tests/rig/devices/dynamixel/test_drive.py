@@ -322,6 +322,90 @@ def test_a_fault_whose_cause_remains_is_not_reset():
             made.drive.reset_fault()
 
 
+@pytest.mark.parametrize("offset", [300, -800])
+def test_a_servo_that_moves_when_it_should_stop_gets_no_proof(offset):
+    """The firmware fault of DynamixelSDK issue 584."""
+    with bench(zero_needed=False) as made:
+        made.servo.ignores_offset = True
+        made.drive.open()
+        assert 0.1 <= made.drive.prove_stop() <= 0.15, "without an offset there is no fault"
+        made.drive.close()
+        made.servo.set(protocol.HOMING_OFFSET, offset)
+        made.drive.open()
+        assert made.drive.identity["homing_offset"] == offset
+        with pytest.raises(DeviceError, match=r"servo turned the fin by [+-]\d\.\d\d rad when"):
+            made.drive.prove_stop()
+        assert made.servo.get(TORQUE) == 0
+
+
+def test_a_servo_that_moves_shortly_after_its_stop_gets_no_proof():
+    with bench(zero_needed=False) as made:
+        made.drive.open()
+        watch = made.servo._watch
+
+        def move_later(now):
+            watch(now)
+            is_late = now - made.servo._instruction_time > 0.0
+            if made.servo.get(WATCHDOG) == protocol.WATCHDOG_TRIPPED and is_late:
+                made.fin.move(0.2, 0.5)
+
+        made.servo._watch = move_later
+        with pytest.raises(DeviceError, match="servo turned the fin by"):
+            made.drive.prove_stop()
+
+
+def test_a_pause_of_the_computer_during_the_proof_proves_nothing(monkeypatch):
+    with bench(zero_needed=False) as made:
+        made.drive.open()
+        sleep = made.clock.sleep
+        monkeypatch.setattr(
+            made.clock, "sleep", lambda seconds: sleep(seconds if seconds < 0.05 else 2.0)
+        )
+        with pytest.raises(DeviceError, match=r"paused for 2\.0 s during the test"):
+            made.drive.prove_stop()
+        assert made.servo.get(TORQUE) == 0
+
+
+def test_a_pause_of_the_program_is_told_as_a_pause():
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        made.clock.sleep(0.12)
+        made.drive.command(Target(-1.5, 1.0))
+        (line,) = made.drive.complaints()
+        assert "bus watchdog has stopped it, because instructions were missing" in line
+        made.loop(0.02)
+        assert made.drive.complaints() == (line,)
+
+
+def test_a_watchdog_that_another_program_switches_off_is_a_fault():
+    with enabled() as made:
+        made.drive.command(Target(1.4, 1.0))
+        made.loop(0.1)
+        assert made.drive.complaints() == ()
+        made.servo.set(WATCHDOG, 0)
+        made.loop(0.02)
+        (line,) = made.drive.complaints()
+        assert line.startswith("servo's Bus Watchdog (98) is 0 instead of 4, so")
+
+
+@pytest.mark.parametrize("delay_s", [0.008, 0.016, 0.03])
+def test_a_stop_while_answers_are_late_neither_turns_back_nor_alarms(delay_s):
+    with enabled() as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.2)
+        made.servo.delay_s = delay_s
+        made.loop(0.05)
+        highest = made.fin.now().angle
+        thread = made.clock.spawn(made.drive.stop, "stop")
+        while thread.is_alive():
+            made.clock.sleep(0.001)
+            angle = made.fin.now().angle
+            assert angle > highest - 0.03
+            highest = max(highest, angle)
+        assert made.servo.get(TORQUE) == 0
+        assert made.drive.stop_unconfirmed is None
+
+
 def test_a_silent_servo_is_told_and_its_stop_is_unconfirmed():
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
@@ -510,6 +594,8 @@ def test_two_servos_with_one_id_are_noticed():
     ("entry", "value", "words"),
     [
         (protocol.OPERATING_MODE, 4, "Operating Mode .* is 4: .* set it to 3"),
+        (protocol.STARTUP_CONFIGURATION, 1, "would power its motor by itself; set it to 0"),
+        (protocol.STARTUP_CONFIGURATION, 2, "would power its motor by itself; set it to 0"),
         (protocol.OPERATING_MODE, 1, "Operating Mode .* is 1: .* set it to 3"),
         (protocol.DRIVE_MODE, 8, "Drive Mode .* is 8: set it to 0"),
         (protocol.DRIVE_MODE, 1, "Drive Mode .* is 1: .*drive.direction"),

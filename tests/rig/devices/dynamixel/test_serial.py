@@ -1,8 +1,10 @@
 """The same over a pseudo-terminal, in real time and with ROBOTIS's own library."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from contextlib import closing, contextmanager
 
 import pytest
@@ -15,7 +17,7 @@ from softfin.rig.devices.dynamixel.drive import Dynamixel
 from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
 from softfin.rig.machine import Target
 from tests import needs
-from tests.patience import wait_until
+from tests.patience import HANG_S, wait_until
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.devices.dynamixel.bench import QUICK_STOP_RAD_S2, servo_config
 
@@ -37,6 +39,43 @@ while True:
     time.sleep(0.01)
 """
 """A host that turns the fin until it is killed; a busy computer answers late."""
+
+
+REACTIONS = {
+    "ends": "",
+    "stops its fin": """
+def stop(*_):
+    drive.stop()
+    sys.exit(3)
+signal.signal(signal.SIGTERM, stop)
+""",
+    "ignores it": "signal.signal(signal.SIGTERM, signal.SIG_IGN)",
+}
+"""What a program that moves the fin does when it is asked to end."""
+
+SWIMMING = """
+import signal, sys, time
+from softfin.rig.devices.dynamixel import drive as driver
+from softfin.rig.devices.dynamixel.drive import Dynamixel
+from softfin.rig.machine import Target
+from tests.rig.devices.dynamixel.bench import servo_config
+driver.ANSWER_S = driver.SLOWEST_ANSWER_S = 0.2
+drive = Dynamixel(servo_config(port=sys.argv[1], heartbeat_s=1.0, zero_needed=False))
+drive.open()
+{reaction}
+drive.enable()
+for tick in range(10_000):
+    if tick % 100 == 0:
+        drive.command(Target(1.5 if tick % 200 else -1.5, 1.0))
+    drive.read()
+    time.sleep(0.01)
+    if drive.complaints():
+        break
+drive.stop()
+"""
+"""A host that turns the fin to and fro, for two minutes at most."""
+
+TRIALS = 50 if os.environ.get("SOFTFIN_LONG") == "1" else 2
 
 
 @contextmanager
@@ -89,6 +128,36 @@ def test_a_port_that_is_unplugged_is_told_and_its_stop_is_unconfirmed():
                 drive.open()
         finally:
             drive.close()
+
+
+@contextmanager
+def swimming(port, reaction):
+    """A process that moves the fin."""
+    script = SWIMMING.format(reaction=REACTIONS[reaction])
+    host = subprocess.Popen([sys.executable, "-c", script, port])
+    try:
+        yield host
+    finally:
+        host.kill()
+        host.wait()
+
+
+@pytest.mark.parametrize("reaction", REACTIONS)
+@pytest.mark.parametrize("_trial", range(TRIALS))
+def test_a_fin_that_another_program_moves_is_stopped_for_good(reaction, _trial):
+    with real_servo(heartbeat_s=1.0, zero_needed=False) as servo:
+        port = servo.address()["port"]
+        with swimming(port, reaction) as host:
+            wait_until(lambda: servo._fin.now().velocity or host.poll() is not None)
+            assert host.poll() is None
+            Dynamixel(servo_config(heartbeat_s=1.0, port=port)).switch_off()
+            # The motor has been told to be off: it stays so, although the program may still run.
+            end = time.monotonic() + 0.3
+            while time.monotonic() < end:
+                assert servo.get(protocol.TORQUE_ENABLE) == 0
+                time.sleep(0.005)
+            wait_until(lambda: servo._fin.now().velocity == 0)
+            host.wait(HANG_S)
 
 
 class Watch:

@@ -25,6 +25,8 @@ MAX_ACCELERATION = 32_767
 class DynamixelConfig(DriveConfig):
     """A Dynamixel that turns the fin directly, without a gearbox of its own."""
 
+    ZERO_POWERS_MOTOR = False
+
     type: Literal["dynamixel"] = "dynamixel"
     """A Dynamixel of the X series."""
 

@@ -53,8 +53,19 @@ SLOWEST_ANSWER_S = 0.005
 STOP_TIMEOUT_S = 3.0
 """Longest wait for another stop in progress [s]."""
 DISABLE_TIMEOUT_S = 0.3
+DISABLE_ATTEMPTS = 8
+"""Number of attempts of a stop to switch the torque off, each of up to two late answers."""
+LATE_ANSWER_S = 0.04
+"""Longest wait for the answer that confirms a stop [s], at a port that answers late."""
+BLIND_WRITES = 20
+"""Number of times that torque off is sent without waiting for an answer, to a port that another
+program uses as well; packets may collide."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
+WATCHED_S = 0.3
+"""Time for which the shaft is watched after the servo has stopped by itself [s]."""
+MOVED_RAD = 0.05
+"""Largest motion of the shaft while the servo stops by itself at rest [rad]: the fin may sway."""
 RESET_TIMEOUT_S = 1.0
 REFUSED = 3
 """Number of attempts of a stop after one that was not confirmed, so that it is brief."""
@@ -62,6 +73,8 @@ UNANSWERED = 3
 """Number of consecutive ticks without a target that counts as a problem."""
 ZERO_TOLERANCE = 8
 """Largest position after zeroing, in counts from the center: the fin may sway."""
+
+WATCHDOG_LINE = f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
 
 _MOTION = struct.Struct("<iii")
 """Profile acceleration, profile velocity and goal position, which are next to each other."""
@@ -80,6 +93,8 @@ class Dynamixel:
         self.device_lock = DeviceLock(self.link.name, "serial", config.port)
         self.serial: int | None = None
         """None, because a Dynamixel has no serial number."""
+        self._firmware: int | None = None
+        self._homing_offset: int | None = None
         self.powered = False
         """Whether the motor may be powered; False only after the servo has confirmed that it is
         off."""
@@ -94,8 +109,8 @@ class Dynamixel:
         """Notes on the servo's setup since it was opened, one line each."""
         self.counted: Counter[str] = Counter()
         self.status: Status | None = None
-        self._time = 0.0
-        """Time of the latest status [s]."""
+        self._asked = self._time = 0.0
+        """Times of the latest request for a status, and of the latest status [s]."""
         self._samples = SampleClock()
         self._trouble: str | None = None
         """Latest problem with the port or a stop, kept until the drive is connected again."""
@@ -110,7 +125,6 @@ class Dynamixel:
         """Latest target, repeated until the servo has it."""
         self._goal = 0
         self._unanswered = 0
-        self._homing_offset: int | None = None
 
     def connect(self) -> None:
         """Connect to the servo in any state without changing anything; raises RigError or
@@ -119,7 +133,7 @@ class Dynamixel:
         self._reset()
         try:
             self.link.open()
-            setup.identify_servo(self.link, self.config)
+            self._firmware = setup.identify_servo(self.link, self.config)
         except BaseException:
             self.link.close()
             self.device_lock.release()
@@ -271,42 +285,58 @@ class Dynamixel:
 
     def switch_off(self) -> None:
         """Stop the motor unconditionally, no matter which program powered it; raises DeviceError if
-        it is not confirmed to be off."""
+        it is not confirmed to be off.
+
+        Two programs on one port take each other's answers. So a softfin program that uses it is
+        stopped first; if it hangs, the torque is switched off without waiting for answers.
+        """
         self._reset()
+        is_alone = self.device_lock.take_over(self.clock)
         try:
             # Not exclusively, because the program that powered it may hang.
             self.link.open(exclusive=False)
-            setup.answer_everything(self.link)
-            # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
-            # power the motor.
-            self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
-            self._try_until(self._is_at_rest, self._brake_time())
-            is_off = self._try_until(self._goes_off, DISABLE_TIMEOUT_S) and stays_off(
+            if is_alone:
+                self._brake_foreign_motion()
+            for _ in range(BLIND_WRITES):
+                with suppress(DeviceError):
+                    self.link.write_unanswered(protocol.TORQUE_ENABLE, 0)
+                self.clock.sleep(TICK_S)
+            is_off = self._try_until(self._goes_off, STOP_TIMEOUT_S) and stays_off(
                 self.clock, lambda: not self._is_powered(), TICK_S
             )
         except DeviceError as error:
             raise DeviceError(f"{UNCONFIRMED} ({error})") from None
         finally:
             self.link.close()
+            self.device_lock.release()
         if not is_off:
             raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
 
     def prove_stop(self) -> float:
         """Power the motor at rest and send nothing; return the time until the servo stops by itself
-        [s]. Raises DeviceError if it does not.
+        [s]. Raises DeviceError if it does not, or if its shaft moves.
 
         Every instruction restarts the bus watchdog, even one that reads it. So softfin is silent
         for longer each time, until the watchdog has tripped; the real time is up to 20 ms shorter.
         """
-        self._new_status()
+        before = self._new_status().position
+        longest_s = self.config.heartbeat_s + LOSS_MARGIN_S
         with stopped_afterwards(self):
             self._power_up(then_arm=False)
             silence_s = self.config.heartbeat_s
-            while silence_s <= self.config.heartbeat_s + LOSS_MARGIN_S:
+            while silence_s <= longest_s:
                 began = self.clock()
                 self.clock.sleep(silence_s)
                 silent_s = self.clock() - began
-                if self._poll(0.02) and self._known_status().watchdog == WATCHDOG_TRIPPED:
+                is_new = self._poll(0.02)
+                self._check_still(before)
+                if is_new and self._known_status().watchdog == WATCHDOG_TRIPPED:
+                    if silent_s > longest_s:
+                        raise DeviceError(
+                            f"this computer paused for {silent_s:.1f} s during the test, so it "
+                            "proves nothing; close other programs and try again"
+                        )
+                    self._watch_shaft(before)
                     return silent_s
                 if line := self._fault():
                     raise DeviceError(f"servo stopped for another reason: {line}")
@@ -340,9 +370,10 @@ class Dynamixel:
         if not self._owned:
             return () if self._trouble is None else (self._trouble,)
         lines = []
-        if self._trouble is not None:
+        fault = self._fault()
+        if self._trouble is not None and self._trouble != fault:
             lines.append(self._trouble)
-        if fault := self._fault():
+        if fault:
             lines.append(fault)
         status = self.status
         if self.armed and not fault and status is not None and not status.torque:
@@ -350,7 +381,14 @@ class Dynamixel:
                 "servo's motor is off although it was enabled; check its supply and end other "
                 "programs that use it"
             )
-        silent_s = self.clock() - self._time
+        if self.armed and not fault and status and status.watchdog != self.config.watchdog:
+            lines.append(
+                f"servo's {protocol.BUS_WATCHDOG} is {status.watchdog} instead of "
+                f"{self.config.watchdog}, so the servo might not stop if softfin died; end other "
+                "programs that use it"
+            )
+        # Until the latest request: a program that has paused has not asked.
+        silent_s = self._asked - self._time
         if silent_s > self.config.heartbeat_s:
             lines.append(
                 f"{self.link.name}: no usable answer for {silent_s:.2f} s; check its supply and "
@@ -375,6 +413,18 @@ class Dynamixel:
         return offset is not None and offset != 0 and _is_applied(offset)
 
     @property
+    def identity(self) -> dict[str, int | str | None]:
+        """Type, model, ID, firmware and homing offset; the last two, because some firmware moves
+        the servo when its bus watchdog trips, depending on the offset."""
+        return {
+            "type": self.config.type,
+            "model": self.config.model,
+            "id": self.config.id,
+            "firmware": self._firmware,
+            "homing_offset": self._homing_offset,
+        }
+
+    @property
     def stop_unconfirmed(self) -> str | None:
         """Warning that the motor may still be on after a stop; None if the servo confirmed that it
         is off."""
@@ -382,7 +432,7 @@ class Dynamixel:
 
     def _poll(self, answer_s: float = ANSWER_S) -> bool:
         """Read a status; return whether it is new."""
-        sent = self.clock()
+        sent = self._asked = self.clock()
         size = protocol.STATUS_LAYOUT.size
         try:
             data = self.link.read_bytes(protocol.INDIRECT_DATA, size, answer_s, "its status")
@@ -462,8 +512,29 @@ class Dynamixel:
         if status.hardware_error:
             return f"{error_line(status.hardware_error)}; {setup.RESET}"
         if status.watchdog == WATCHDOG_TRIPPED:
-            return f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
+            return WATCHDOG_LINE
         return None
+
+    def _check_still(self, before: int) -> None:
+        """Raise DeviceError if the shaft has moved away from a position."""
+        moved_rad = self.units.angle(self._known_status().position) - self.units.angle(before)
+        if abs(moved_rad) > MOVED_RAD:
+            raise DeviceError(
+                f"servo turned the fin by {moved_rad:+.2f} rad when its bus watchdog stopped it "
+                "(a known fault of some firmware with a homing offset); update its firmware with "
+                "DYNAMIXEL Wizard, and do not move the fin until this test passes"
+            )
+
+    def _watch_shaft(self, before: int) -> None:
+        """Raise DeviceError if the shaft leaves a position within `WATCHED_S`, or if it cannot be
+        read."""
+        is_new = False
+        for _ in range(round(WATCHED_S / TICK_S)):
+            self.clock.sleep(TICK_S)
+            is_new = self._poll(0.02)
+            self._check_still(before)
+        if not is_new:
+            raise DeviceError(f"{self.link.name}: no answer after it stopped; check its cable")
 
     def _send_target(self) -> None:
         """Send the latest target; the caller holds the link's lock."""
@@ -476,6 +547,11 @@ class Dynamixel:
         except NoAnswer:
             # The next status shows whether the servo has it.
             pass
+        except RefusedError as error:
+            # Targets are within the servo's limits, so it refuses them as out of range only after
+            # its bus watchdog has tripped.
+            is_tripped = error.code == Refusal.DATA_RANGE
+            self._trouble = WATCHDOG_LINE if is_tripped else str(error)
         except DeviceError as error:
             self._trouble = str(error)
 
@@ -557,10 +633,13 @@ class Dynamixel:
 
         The time is counted in ticks, so that a stop ends even if the clock stops.
         """
+        is_brief = self._stop_failed
+        # Answers may be late, e.g. because the computer is busy.
+        longest_answer_s = ANSWER_S if is_brief else LATE_ANSWER_S
         if self.clock() - self._time > 2 * TICK_S:
             # The fin has moved on since the latest status.
-            self._poll()
-        attempts = REFUSED if self._stop_failed else round(self._brake_time() / TICK_S)
+            self._poll(longest_answer_s)
+        attempts = REFUSED if is_brief else round(self._brake_time() / TICK_S)
         is_braking = False
         ticks_at_rest = 0
         for _ in range(attempts):
@@ -569,7 +648,8 @@ class Dynamixel:
                 # Opened again after a stop that was not confirmed: the watchdog has stopped it.
                 break
             if not is_braking:
-                is_braking = self._brake(status.position, status.velocity)
+                position = self._present_position(status)
+                is_braking = self._brake(position, status.velocity)
             is_new = self._poll()
             status = self._known_status()
             is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
@@ -577,12 +657,13 @@ class Dynamixel:
             if ticks_at_rest >= 2 or (is_new and not status.torque):
                 break
             self.clock.sleep(TICK_S)
-        for _ in range(REFUSED if self._stop_failed else round(DISABLE_TIMEOUT_S / TICK_S)):
+        for attempt in range(REFUSED if is_brief else DISABLE_ATTEMPTS):
+            answer_s = longest_answer_s if attempt else ANSWER_S
             with suppress(DeviceError):
-                self.link.write(protocol.TORQUE_ENABLE, 0, ANSWER_S)
+                self.link.write(protocol.TORQUE_ENABLE, 0, answer_s)
             # Not from a status, which a servo that has restarted does not send.
             with suppress(DeviceError):
-                self.powered = self._is_powered(ANSWER_S)
+                self.powered = self._is_powered(answer_s)
             if not self.powered:
                 # The end of this program should not put a stopped servo into fault.
                 with suppress(DeviceError):
@@ -621,6 +702,22 @@ class Dynamixel:
 
     def _is_powered(self, answer_s: float = SETUP_ANSWER_S) -> bool:
         return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
+
+    def _present_position(self, status: Status) -> int:
+        """Return the servo's position now, at its velocity since a status that may be old; it does
+        not go past its goal."""
+        age_s = max(self.clock() - self._time, 0.0)
+        angle = self.units.angle(status.position) + self.units.velocity(status.velocity) * age_s
+        ends = sorted((status.position, status.goal))
+        return min(max(self.units.position(angle), ends[0]), ends[1])
+
+    def _brake_foreign_motion(self) -> None:
+        """Bring a servo to rest that another program has powered."""
+        setup.answer_everything(self.link)
+        # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
+        # power the motor.
+        self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
+        self._try_until(self._is_at_rest, self._brake_time())
 
     def _brake_now(self) -> bool:
         """Brake a servo that another program has powered; return whether it has this goal."""

@@ -60,6 +60,9 @@ class EmulatedServo:
         self.delay_s = 0.0
         """Delay of each answer [s]."""
         self.is_watchdog_broken = False
+        self.ignores_offset = False
+        """Whether the servo has the firmware fault of DynamixelSDK issue 584: when its bus watchdog
+        trips, its goal becomes its position without the homing offset."""
         self.received: list[Packet] = []
         """Instructions for this servo, newest last."""
         self.table = bytearray(TABLE_BYTES)
@@ -189,9 +192,14 @@ class EmulatedServo:
             return
         if now - self._instruction_time > units * protocol.WATCHDOG_UNIT_S:
             self.set(protocol.BUS_WATCHDOG, protocol.WATCHDOG_TRIPPED)
+            # The servo stops without a profile (e-Manual, Bus Watchdog), so not along a quick stop.
             self.set(protocol.PROFILE_ACCELERATION, 0)
             self.set(protocol.PROFILE_SPEED, 0)
-            self._fin.halt()
+            position = self._position(self._fin.now().angle)
+            if self.ignores_offset:
+                position -= self._applied_offset()
+            self.set(protocol.GOAL_POSITION, position)
+            self._move()
 
     def _answer(self, packet: Packet) -> list[bytes]:
         is_broadcast = packet.servo_id == BROADCAST
@@ -266,11 +274,12 @@ class EmulatedServo:
 
     def _offset(self) -> int:
         """Return the difference between the servo's position and the one of `Units`."""
+        return MOUNTED_TICKS + self._applied_offset()
+
+    def _applied_offset(self) -> int:
         offset = self.get(protocol.HOMING_OFFSET)
         # In position mode, a servo ignores a larger one.
-        if abs(offset) > protocol.MAX_HOMING_OFFSET:
-            offset = 0
-        return MOUNTED_TICKS + offset
+        return offset if abs(offset) <= protocol.MAX_HOMING_OFFSET else 0
 
     def _write(self, request: bytes) -> Refusal | None:
         (address,) = struct.unpack("<H", request[:2])

@@ -7,6 +7,7 @@ its time is over. Any thread may send; the lock keeps instructions apart.
 import contextlib
 import struct
 from collections import Counter
+from collections.abc import Iterator
 from typing import Protocol
 
 from softfin.core.choices import LOOPBACK
@@ -189,35 +190,47 @@ class ServoLink:
         request = struct.pack("<H", address) + data
         self._transact(Instruction.WRITE, request, 0, answer_s, what)
 
+    def write_unanswered(self, entry: Entry, value: int) -> None:
+        """Send an entry without waiting for the answer; raises DeviceError."""
+        data = struct.pack("<H", entry.address) + entry.layout.pack(value)
+        with self._using_port() as port:
+            port.write(self._encode(Instruction.WRITE, data))
+
     def reboot(self) -> None:
         """Restart the servo; raises DeviceError."""
         self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
+
+    def _encode(self, instruction: Instruction, request: bytes) -> bytes:
+        return encode_packet(Packet(self._config.id, instruction, request))
+
+    @contextlib.contextmanager
+    def _using_port(self) -> Iterator[Port]:
+        """Hold the port for one instruction; raises DeviceError if it cannot be used."""
+        if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
+            raise DeviceError(f"{self.name}: another request is still unanswered; try again")
+        try:
+            if self._port is None:
+                raise DeviceError(f"{self.name}: not open; open it first")
+            yield self._port
+        except (OSError, TypeError) as error:
+            # pyserial raises TypeError if its port is closed meanwhile.
+            raise DeviceError(
+                f"{self.name}: port cannot be used ({one_line(error)}); check its cable and "
+                "adapter, then start again"
+            ) from None
+        finally:
+            self.lock.release()
 
     def _transact(
         self, instruction: Instruction, request: bytes, size: int, answer_s: float, what: str
     ) -> bytes:
         """Send an instruction and return the data of its answer, which has `size` bytes."""
-        packet = encode_packet(Packet(self._config.id, instruction, request))
-        if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
-            raise DeviceError(f"{self.name}: another request is still unanswered; try again")
-        try:
-            port = self._port
-            if port is None:
-                raise DeviceError(f"{self.name}: not open; open it first")
-            try:
-                # Late answers must not be taken for the next one.
-                port.discard()
-                self._parser.clear()
-                port.write(packet)
-                answer = self._await_answer(port, size, self._clock() + answer_s)
-            except (OSError, TypeError) as error:
-                # pyserial raises TypeError if its port is closed meanwhile.
-                raise DeviceError(
-                    f"{self.name}: port cannot be used ({one_line(error)}); check its cable and "
-                    "adapter, then start again"
-                ) from None
-        finally:
-            self.lock.release()
+        with self._using_port() as port:
+            # Late answers must not be taken for the next one.
+            port.discard()
+            self._parser.clear()
+            port.write(self._encode(instruction, request))
+            answer = self._await_answer(port, size, self._clock() + answer_s)
         if answer is None:
             self.counters["answers missing"] += 1
             raise NoAnswer(

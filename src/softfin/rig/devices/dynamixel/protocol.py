@@ -155,6 +155,7 @@ HOMING_OFFSET = Entry(20, "i", "Homing Offset")
 VELOCITY_LIMIT = Entry(44, "I", "Velocity Limit")
 MAX_POSITION_LIMIT = Entry(48, "I", "Max Position Limit")
 MIN_POSITION_LIMIT = Entry(52, "I", "Min Position Limit")
+STARTUP_CONFIGURATION = Entry(60, "B", "Startup Configuration")
 SHUTDOWN_ERRORS = Entry(63, "B", "Shutdown")
 TORQUE_ENABLE = Entry(64, "B", "Torque Enable")
 STATUS_RETURN_LEVEL = Entry(68, "B", "Status Return Level")
@@ -179,7 +180,8 @@ torque is off."""
 
 POSITION_MODE = 3
 FIRST_FIRMWARE = 38
-"""First firmware with a bus watchdog."""
+"""First firmware with a bus watchdog. DynamixelSDK issue 584 reports a fault of later versions,
+without their numbers: with a homing offset, the servo moves when its bus watchdog trips."""
 ALL_STATUS_PACKETS = 2
 """Status Return Level: every instruction is answered."""
 MAX_HOMING_OFFSET = 1024

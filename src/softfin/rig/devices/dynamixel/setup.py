@@ -15,14 +15,15 @@ from softfin.rig.devices.dynamixel.protocol import Entry, error_line
 from softfin.rig.safety import OVERSHOOT_RAD
 
 WATCHDOG_STOPPED = (
-    "servo's bus watchdog has stopped it: the program that moved it died or hung, or its cable was "
-    "cut; find out why"
+    "servo's bus watchdog has stopped it, because instructions were missing: the program that "
+    "moved it paused or ended, or its cable was cut; find out why"
 )
 RESET = "then run: softfin rig check --reset-fault"
 
 
-def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
-    """Raise RigError if the servo does not answer, or is another model."""
+def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
+    """Return the servo's firmware version; raises RigError if it does not answer, or is another
+    model."""
     try:
         number, firmware = link.ping()
     except DeviceError as error:
@@ -43,6 +44,7 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
             f"{link.name}: firmware {firmware} has no bus watchdog; update it to "
             f"{protocol.FIRST_FIRMWARE} or later with DYNAMIXEL Wizard"
         )
+    return firmware
 
 
 def answer_everything(link: ServoLink) -> None:
@@ -77,6 +79,13 @@ def settings(config: DynamixelConfig) -> tuple[Setting, ...]:
             # target would power a motor that has been stopped.
             lambda value: value == 0,
             "set it to 0, and use drive.direction to reverse the fin",
+        ),
+        Setting(
+            protocol.STARTUP_CONFIGURATION,
+            # Bit 0 powers the motor at each start of the servo, with no program there, and bit 1
+            # restores the indirect addresses, which would hide a restart.
+            lambda value: value == 0,
+            "the servo would power its motor by itself; set it to 0",
         ),
         Setting(
             protocol.SHUTDOWN_ERRORS,

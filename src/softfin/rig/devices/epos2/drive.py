@@ -206,6 +206,11 @@ class Epos2(Exchange):
         """The drive's bus, and its number there."""
         return f"{self.bus.interface} {self.bus.channel}, node {self.config.node}"
 
+    @property
+    def identity(self) -> dict[str, int | str | None]:
+        """Type, node and serial number."""
+        return {"type": self.config.type, "node": self.config.node, "serial": self.serial}
+
     def checks(self) -> Iterator[CheckResult]:
         """Describe the open drive."""
         text = f"{self.where}: limits, ramps and mapping written and read back"
