@@ -49,12 +49,26 @@ def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: fl
 
 def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
     """Return whether a motor stays off, checking every `step_s` [s]: a program that still drives it
-    would power it again."""
+    would power it again.
+
+    Such a program may take some of the answers, but the last one must confirm it.
+    """
     for _ in range(round(STOP_CONFIRMED_S / step_s)):
-        if not is_off():
-            return False
+        with suppress(DeviceError):
+            if not is_off():
+                return False
         clock.sleep(step_s)
-    return True
+    return try_until(clock, is_off, STOP_CONFIRMED_S, step_s)
+
+
+def check_no_pause(silent_s: float, longest_s: float) -> None:
+    """Raise DeviceError if a test of the drive's own stop took longer than the drive may take [s],
+    because the computer paused."""
+    if silent_s > longest_s:
+        raise DeviceError(
+            f"this computer paused for {silent_s:.1f} s during the test, so it proves nothing; "
+            "close other programs and try again"
+        )
 
 
 def check_fin_angle(angle: float, config: DriveConfig) -> None:

@@ -395,13 +395,15 @@ def test_a_stop_while_answers_are_late_neither_turns_back_nor_alarms(delay_s):
         made.loop(0.2)
         made.servo.delay_s = delay_s
         made.loop(0.05)
-        highest = made.fin.now().angle
+        start = highest = made.fin.now().angle
         thread = made.clock.spawn(made.drive.stop, "stop")
         while thread.is_alive():
             made.clock.sleep(0.001)
             angle = made.fin.now().angle
             assert angle > highest - 0.03
             highest = max(highest, angle)
+        # One missed answer at 3.14 rad/s, and v^2 / (2 a).
+        assert highest - start < 0.15
         assert made.servo.get(TORQUE) == 0
         assert made.drive.stop_unconfirmed is None
 

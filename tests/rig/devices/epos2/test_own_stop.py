@@ -53,6 +53,29 @@ def test_a_drive_that_ignores_the_loss_is_told_and_stopped() -> None:
         assert made.emulated.state is State.SWITCH_ON_DISABLED
 
 
+def test_a_pause_of_the_computer_during_the_proof_proves_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with bench() as made:
+        made.drive.open()
+        sync_and_read = made.drive.sync_and_read
+
+        def sync_late(seconds: float) -> None:
+            made.clock.sleep(2.0)
+            sync_and_read(seconds)
+
+        time_own_stop = procedures.time_own_stop
+
+        def time_with_pause(drive: Epos2) -> float:
+            monkeypatch.setattr(drive, "sync_and_read", sync_late)
+            return time_own_stop(drive)
+
+        monkeypatch.setattr(procedures, "time_own_stop", time_with_pause)
+        with pytest.raises(DeviceError, match=r"paused for 2\.\d s during the test"):
+            made.drive.prove_stop()
+        assert made.emulated.state not in POWERED
+
+
 def test_another_fault_is_no_proof() -> None:
     with bench() as made:
         made.drive.open()
@@ -206,3 +229,33 @@ def test_a_drive_that_is_powered_again_at_once_is_not_off() -> None:
             Epos2(made.bus, drive_config(), made.clock).switch_off()
         ended.set()
         thread.join()
+
+
+def test_the_program_that_keeps_an_adapter_to_itself_is_asked_to_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with enabled(traits=IGNORES) as made:
+        powered_by_a_dead_program(made, None)
+        drive = Epos2(made.bus, drive_config(), made.clock)
+        open_bus = drive.connection.open
+        is_in_use = True
+
+        def open_unless_in_use() -> None:
+            if is_in_use:
+                raise DeviceError("CAN bus: in use")
+            open_bus()
+
+        def refuse(_: object) -> None:
+            raise RigError("drive 1: in use by another program")
+
+        def ask(_: object) -> bool:
+            nonlocal is_in_use
+            is_in_use = False
+            return True
+
+        monkeypatch.setattr(drive.connection, "open", open_unless_in_use)
+        monkeypatch.setattr(drive.device_lock, "acquire", refuse)
+        monkeypatch.setattr(drive.device_lock, "take_over", ask)
+        drive.switch_off()
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
+        assert made.fin.now().velocity == 0.0

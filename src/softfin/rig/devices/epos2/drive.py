@@ -306,16 +306,32 @@ class Epos2(Exchange):
     def switch_off(self) -> None:
         """Stop the drive unconditionally, no matter which program powered it; raises DeviceError if
         the motor is not confirmed off."""
+        problem = self._switch_off()
+        if problem is None:
+            return
+        try:
+            self.device_lock.acquire(self.clock)
+        except RigError:
+            # Two programs cannot share some CAN adapters, e.g. serial ones.
+            self.device_lock.take_over(self.clock)
+            problem = self._switch_off()
+        finally:
+            self.device_lock.release()
+        if problem is not None:
+            raise DeviceError(problem)
+
+    def _switch_off(self) -> str | None:
+        """Switch the motor off; return the problem if it is not confirmed to be off."""
         self.reset()
         try:
             self.connection.open()
-            is_off = procedures.switch_off(self)
+            if procedures.switch_off(self):
+                return None
         except DeviceError as error:
-            raise DeviceError(f"{UNCONFIRMED} ({error})") from None
+            return f"{UNCONFIRMED} ({error})"
         finally:
             self.connection.close()
-        if not is_off:
-            raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
+        return f"{UNCONFIRMED}, and end other programs that drive it"
 
     def stop(self) -> None:
         """Quick-stop immediately, then disable voltage; may be called repeatedly from any thread

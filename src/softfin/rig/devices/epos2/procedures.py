@@ -14,7 +14,7 @@ from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.connection import CanConnection, SdoRefusal
 from softfin.rig.devices.epos2.exchange import Exchange
 from softfin.rig.devices.epos2.protocol import Bit, Object, State, fault_line
-from softfin.rig.drive_safety import stays_off, try_until
+from softfin.rig.drive_safety import check_no_pause, stays_off, try_until
 from softfin.rig.safety import OVERSHOOT_RAD
 
 LISTEN_S = 0.3
@@ -432,7 +432,7 @@ def time_own_stop(exchange: Exchange) -> float:
     exchange.send_heartbeat()
     last_heartbeat = exchange.clock()
     longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
-    while (silence := exchange.clock() - last_heartbeat) <= longest:
+    while exchange.clock() - last_heartbeat <= longest:
         # SYNC continues as in a run, so that only the missing heartbeats can stop the drive. After
         # the fault, the node may have left the operational state and no longer respond to SYNC, so
         # the state is read over SDO.
@@ -442,6 +442,8 @@ def time_own_stop(exchange: Exchange) -> float:
             code = exchange.status.emergency or newest_error(exchange.connection)
             if code != protocol.HOST_LOST:
                 raise DeviceError(f"drive faulted for another reason: {fault_line(code)}")
+            silence = exchange.clock() - last_heartbeat
+            check_no_pause(silence, longest)
             return silence
         exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError(
