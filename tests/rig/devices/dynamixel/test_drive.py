@@ -1,6 +1,7 @@
 """The drive over its emulator in simulated time: start, motion, stop, own stop and faults."""
 
 import math
+import random
 
 import pytest
 
@@ -681,6 +682,28 @@ def test_a_servo_that_answers_little_is_braked_and_switched_off(level):
         assert made.servo.get(TORQUE) == 0
         # One missing answer later than a servo that answers everything.
         assert made.fin.now().angle - angle < 0.5
+
+
+def test_a_fin_is_stopped_although_half_of_the_answers_go_to_another_program(monkeypatch):
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.1)
+        other = Dynamixel(made.drive.config, made.clock)
+        monkeypatch.setattr(other.device_lock, "take_over", lambda _: False)
+        transact = other.link._transact
+        chance = random.Random(0)
+
+        def lose_answers(*request):
+            if chance.random() < 0.5:
+                raise DeviceError("port cannot be used (multiple access on port?)")
+            return transact(*request)
+
+        monkeypatch.setattr(other.link, "_transact", lose_answers)
+        angle = made.fin.now().angle
+        other.switch_off()
+        assert made.servo.get(TORQUE) == 0
+        # It coasts at 10 rad/s2.
+        assert made.fin.now().angle - angle < 0.6
 
 
 def test_a_servo_that_is_powered_again_or_silent_is_not_off():

@@ -717,7 +717,8 @@ class Dynamixel:
 
     def _brake_foreign_motion(self) -> None:
         """Bring a servo to rest that another program has powered."""
-        setup.answer_everything(self.link)
+        with suppress(DeviceError):
+            setup.answer_everything(self.link)
         # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
         # power the motor.
         self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
@@ -736,7 +737,8 @@ class Dynamixel:
         return try_until(self.clock, done, seconds, TICK_S)
 
     def _goes_off(self) -> bool:
-        self.link.write(protocol.TORQUE_ENABLE, 0)
+        with suppress(DeviceError):
+            self.link.write(protocol.TORQUE_ENABLE, 0)
         return not self._is_powered()
 
 
