@@ -243,7 +243,6 @@ def fit_gru(
         record.write(done["updates"], **scalars)
         progress("fit", done["updates"] / config.updates, f"rms {float(held_out) ** 0.5:.4f}")
         run_directory.save(state, done)
-    record.close()
     return GruSurrogate(state.best, scaling, command_limits(training))
 
 

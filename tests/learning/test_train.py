@@ -21,6 +21,7 @@ from softfin.learning.run import RunState, TrainingResult, TrainingRun
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_training_log
 from softfin.task.task import TaskConfig
+from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
 
@@ -244,3 +245,10 @@ def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(scale, 
     metrics = {"error_x_n": np.array([scale * 0.12]), "error_y_n": np.array([scale * 0.35])}
     state = RunState(None, None, PolicyEvaluation(error, error, None))
     assert run.note(metrics, state) == expected
+
+
+@needs_full_device
+def test_a_full_disk_stops_the_training_with_an_error(tmp_path: Path) -> None:
+    check_that_a_full_disk_stops(
+        lambda: trained(tmp_path, (0, 1)), work=tmp_path / ".out.unfinished"
+    )

@@ -244,5 +244,4 @@ def test_numbers_that_are_not_finite_are_null_wherever_they_stand():
 def test_a_training_log_is_standard_json(tmp_path):
     log = RunDirectory(tmp_path / "out", {}).log()
     log.write(3, loss=0.5, kl=math.nan)
-    log.close()
     assert log.path.read_text() == '{"step": 3, "loss": 0.5, "kl": null}\n'

@@ -1,16 +1,20 @@
 """Checkpoints: leaves by name, strictly, and only those of the software that reads them."""
 
 import re
+import struct
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
+from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.record_writer import RecordWriter
 
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, RunError
 from softfin.storage import run_directory as checkpoint
-from softfin.storage.run_directory import CHECKPOINT, RunDirectory
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory, RunLog
+from tests.full_disk import fill, needs_full_device
 
 
 class State(NamedTuple):
@@ -149,3 +153,43 @@ def test_one_of_before_versions_were_kept_is_refused(tmp_path, saved):
     (saved.folder / CHECKPOINT).write_bytes(data)
     with pytest.raises(ArtifactError, match="written by an older softfin, but this is softfin"):
         saved.load(STATE)
+
+
+@needs_full_device
+@pytest.mark.parametrize("pattern", ["log.jsonl", "events.*"])
+def test_a_log_on_a_full_disk_raises_an_error(tmp_path, pattern):
+    log = RunLog(tmp_path)
+    log.write(1, loss=0.5)
+    (file,) = tmp_path.glob(pattern)
+    fill(file)
+    message = rf"{file.name}: cannot be written \(No space left on device\); free disk space, then"
+    with pytest.raises(RunError, match=message):
+        log.write(2, loss=0.5)
+
+
+def test_the_event_file_is_the_one_that_tensorboardx_would_write(tmp_path):
+    log = RunLog(tmp_path, rewind_to=4)
+    log.write(5, **{"seed0/reward": 0.5, "seed0/loss": float("nan")})
+    (file,) = tmp_path.glob("events.out.tfevents.*.softfin")
+    content = file.read_bytes()
+    events = []
+    position = 0
+    while position < len(content):
+        (length,) = struct.unpack_from("<Q", content, position)
+        # After the length and its checksum.
+        start = position + 12
+        events.append(Event.FromString(content[start : start + length]))
+        position = start + length + 4
+    version, restart, scalars = events
+    assert version.file_version == "brain.Event:2"
+    assert (restart.step, restart.session_log.status) == (5, SessionLog.START)
+    assert scalars.step == 5
+    reward, loss = scalars.summary.value
+    assert (reward.tag, reward.simple_value) == ("seed0/reward", 0.5)
+    assert loss.tag == "seed0/loss"
+    assert np.isnan(loss.simple_value)
+    writer = RecordWriter(str(tmp_path / "expected"))
+    for event in events:
+        writer.write(event.SerializeToString())
+    writer.close()
+    assert content == (tmp_path / "expected").read_bytes()

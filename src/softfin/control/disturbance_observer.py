@@ -21,9 +21,16 @@ After zeroing, a sensor whose drift w(t) has the standard deviation drift_n and 
 drift_s reads w(t) - w(0). The variance of this is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the
 variance of d.
 
-An error that drift cannot explain indicates a change in the fin and reopens the estimate of b. The
-inner reference stays within the controller's cells and the reachable forces, so the observer does
-not wind up at their edge.
+An error that drift cannot explain, such as a sudden one, indicates a change in the fin and reopens
+the estimate of b.
+
+The separation has two limits. Every movement of the reference adds to the variance of b, even if
+the reference returns to an earlier value. If the reference moves for minutes, the observer
+therefore assigns the drift to b and corrects it. Conversely, at a constant reference, a slow change
+in the fin is assigned to d and is hardly corrected.
+
+The inner reference stays within the controller's cells and the reachable forces, so the observer
+does not wind up at their edge.
 """
 
 import math

@@ -76,7 +76,6 @@ def train(
             progress(
                 f"train {config.controller}", done / config.num_updates, run.note(metrics, state)
             )
-    record.close()
     policies, evaluation = run.result(state)
     limits = Limits(*map(float, plant.limits))
     return TrainingResult(config, limits, tuple(seeds), policies, evaluation, run.reachable)

@@ -9,10 +9,12 @@ from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
+from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank, sample_tank
 
 
+@lock_output
 def collect(
     plant: str | Plant,
     out: Path,

@@ -26,6 +26,7 @@ from softfin.learning.run import TrainingResult
 from softfin.learning.train import find_gaits as search_gaits
 from softfin.learning.train import train as train_in_process
 from softfin.storage import artifact as artifacts
+from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
@@ -48,6 +49,7 @@ def propose_clock(plant: str) -> ActionClock:
     return ActionClock.for_strokes(stroke_s)
 
 
+@lock_output
 def map_forces(
     plant: str | Plant,
     out: Path,
@@ -89,6 +91,7 @@ def map_forces(
     }
 
 
+@lock_output
 def find_gaits(
     plant: str | Plant,
     out: Path,
@@ -135,6 +138,7 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> JsonOb
     )
 
 
+@lock_output
 def train(
     plant: str | Plant,
     out: Path,

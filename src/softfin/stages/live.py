@@ -43,6 +43,7 @@ from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
+from softfin.storage.output_lock import lock_output
 from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
@@ -73,6 +74,7 @@ Warn = Callable[[str], None]
 """Function that shows a one-line warning to the operator."""
 
 
+@lock_output
 def collect_live(
     robot: RobotSetup,
     out: Path,

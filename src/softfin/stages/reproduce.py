@@ -38,6 +38,7 @@ from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
+from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_training_log
 from softfin.surrogate import load_surrogate
@@ -54,6 +55,7 @@ Evaluated: TypeAlias = dict[str, tuple[EvaluationSummary, Evaluation]]
 """Contents of ``evaluation.json`` and the evaluation, by kind of controller."""
 
 
+@lock_output
 def reproduce(
     plant: str,
     out: Path,

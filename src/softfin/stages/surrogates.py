@@ -18,6 +18,7 @@ from softfin.data.recordings import open_logs
 from softfin.data.stroke_time import stroke_time
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
+from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import (
@@ -37,6 +38,7 @@ from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.model import material
 
 
+@lock_output
 def fit(
     dataset: Path,
     out: Path,
@@ -201,6 +203,7 @@ def compare(
     return summary
 
 
+@lock_output
 def calibrate(
     data: str | Path | Plant,
     out: Path,

@@ -147,9 +147,13 @@ def sync(place: Path) -> None:
         os.close(descriptor)
 
 
-def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
+def write_file(
+    path: Path,
+    data: bytes | str | Callable[[BinaryIO], None],
+    fix: str = "free disk space, or choose another path",
+) -> None:
     """Write a file next to its destination and rename it once it is on disk; `data` may be a
-    function that writes in pieces."""
+    function that writes in pieces. If it fails, the error message ends with `fix`."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -164,10 +168,7 @@ def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> No
         beside.replace(path)
         sync(path.parent)
     except OSError as error:
-        raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); free disk space, or choose "
-            "another path"
-        ) from None
+        raise RunError(f"{path}: cannot be written ({error.strerror or error}); {fix}") from None
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()

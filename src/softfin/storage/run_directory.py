@@ -10,6 +10,9 @@ import copy
 import importlib.metadata
 import json
 import shutil
+import socket
+import struct
+import time
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -32,6 +35,8 @@ TRAINING_LOG = "training"
 description of the run that wrote them."""
 RUN = "run.json"
 LOG = "log.jsonl"
+FIX = "free disk space, then use --resume"
+"""End of the message if a file of an unfinished run cannot be written."""
 
 
 class RunDirectory:
@@ -87,7 +92,7 @@ class RunDirectory:
         """Replace the checkpoint."""
         whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
         artifacts.write_file(
-            self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole})
+            self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}), FIX
         )
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
@@ -165,38 +170,60 @@ class RunDirectory:
 
 
 class RunLog:
-    """Scalars of a run: one line of JSON per step, and an event file for TensorBoard."""
+    """Scalars of a run: one line of JSON per step, and an event file for TensorBoard.
+
+    Both files are written by the calling thread, so a full disk stops the run with an error. The
+    writer of tensorboardX is a thread: if a write fails, it ends without a message, its queue
+    fills, and the run then waits forever.
+    """
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
-        # Imported here, because importing protobuf takes a third of a second.
-        from tensorboardX import SummaryWriter
-
         self.path = folder / LOG
         # Without a step to rewind to, the run starts from the beginning, so discard all old
         # entries.
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
-        artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
-        self._writer = SummaryWriter(str(folder), purge_step=last + 1, filename_suffix=".softfin")
+        artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept), FIX)
+        name = f"events.out.tfevents.{time.time():.0f}.{socket.gethostname()}.softfin"
+        self.event_path = folder / name
+        self._append_event(file_version="brain.Event:2")
+        # TensorBoard then hides the steps of earlier event files from this step on.
+        self._append_event(step=last + 1, session_log={"status": "START"})
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step; non-finite values are written as null."""
+        """Append the scalars of one step; ``log.jsonl`` contains null for non-finite values.
+
+        Raises RunError if the files cannot be written, for example because the disk is full.
+        """
         numbers = {name: float(value) for name, value in scalars.items()}
         entry = artifacts.plain({"step": step, **numbers})
-        try:
-            with self.path.open("a") as file:
-                file.write(json.dumps(entry, allow_nan=False) + "\n")
-        except OSError as error:
-            raise RunError(
-                f"{self.path}: cannot be written ({error.strerror}); free disk space, then use "
-                "--resume"
-            ) from None
-        for name, value in numbers.items():
-            self._writer.add_scalar(name, value, step)
+        _append(self.path, (json.dumps(entry, allow_nan=False) + "\n").encode())
+        values = [{"tag": name, "simple_value": value} for name, value in numbers.items()]
+        self._append_event(step=step, summary={"value": values})
 
-    def close(self) -> None:
-        """Flush the event file."""
-        self._writer.close()
+    def _append_event(self, **fields: object) -> None:
+        # Imported here, because importing protobuf takes a third of a second.
+        from tensorboardX.proto.event_pb2 import Event
+
+        event = Event(wall_time=time.time(), **fields)
+        _append(self.event_path, _tf_record(event.SerializeToString()))
+
+
+def _append(path: Path, data: bytes) -> None:
+    try:
+        with path.open("ab") as file:
+            file.write(data)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror}); {FIX}") from None
+
+
+def _tf_record(data: bytes) -> bytes:
+    """Return a record of TensorBoard's file format: the length and the data, each followed by its
+    masked CRC-32C."""
+    from tensorboardX.record_writer import masked_crc32c
+
+    parts = (struct.pack("<Q", len(data)), data)
+    return b"".join(part + struct.pack("<I", masked_crc32c(part)) for part in parts)
 
 
 def read_training_log(path: Path) -> list[JsonObject]:

@@ -7,6 +7,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_training_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
 from softfin.surrogate.paper.fit import PaperLearner, fit_paper, window_starts
+from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.surrogate import small
 
 CONFIG = FitConfig(
@@ -150,7 +151,6 @@ def test_the_training_logs_of_parts_are_kept(tmp_path):
     for part in (run_directory, run_directory.part("0"), run_directory.part("1")):
         record = part.log()
         record.write(1, loss=0.5)
-        record.close()
     run_directory.keep_log(tmp_path / "kept")
     for name in (".", "0", "1"):
         assert read_training_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [
@@ -230,3 +230,11 @@ def test_a_folder_that_is_no_surrogate_is_refused(tmp_path):
     (tmp_path / artifacts.WEIGHTS).write_bytes((8).to_bytes(8, "little") + b"{}      ")
     with pytest.raises(ArtifactError, match="the surrogate runs at 50 Hz; softfin requires 100 Hz"):
         load_surrogate(tmp_path)
+
+
+@needs_full_device
+def test_a_full_disk_stops_the_fit_with_an_error(tmp_path):
+    run_directory = RunDirectory(tmp_path / "s", {})
+    check_that_a_full_disk_stops(
+        lambda: fit_paper(LOGS, CONFIG, 0, run_directory), run_directory.folder
+    )

@@ -10,6 +10,7 @@ from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.streaming.profile import Profile
 from softfin.surrogate.streaming.segments import measure_scales
+from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
@@ -179,3 +180,11 @@ def test_all_calls_but_the_very_last_are_equal(updates):
     assert 1 <= call <= module.UPDATES_A_CALL
     assert round_of % call == 0
     assert -(-updates // round_of) <= module.MAX_SCORINGS
+
+
+@needs_full_device
+def test_a_full_disk_stops_the_fit_with_an_error(tmp_path):
+    run_directory = RunDirectory(tmp_path / "s", {})
+    check_that_a_full_disk_stops(
+        lambda: fit_streaming(LOGS, CONFIG, 0, run_directory), run_directory.folder
+    )

@@ -19,6 +19,7 @@ from softfin.tank.calibration.calibrate import calibrate_tank, prepared, scores
 from softfin.tank.calibration.config import CalibrateConfig, RecordingConfig
 from softfin.tank.calibration.model import FITTED_CHANNELS, Space, material, read, stacked
 from softfin.tank.calibration.search import linearised, misfits, polish
+from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.tank.calibration.small import CONFIG, RANGES, TRUTH
 
 EVEN = np.ones(3) / 3
@@ -233,3 +234,11 @@ def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):
     assert text.startswith("# ")
     assert list(yaml.safe_load(text)) == list(TankConfig().model_dump())
     assert set(RANGES) == set(TRUTH)
+
+
+@needs_full_device
+def test_a_full_disk_stops_the_calibration_with_an_error(logs, tmp_path):
+    run_directory = RunDirectory(tmp_path / "out", {})
+    check_that_a_full_disk_stops(
+        lambda: calibrate_tank(CONFIG, *logs, 0, run_directory), run_directory.folder
+    )

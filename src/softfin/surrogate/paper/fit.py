@@ -113,7 +113,6 @@ def fit_paper(
         # Saved after the log is written, so that an interrupted epoch is repeated and its log entry
         # is removed.
         run_directory.save(state, done)
-    record.close()
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
 
 

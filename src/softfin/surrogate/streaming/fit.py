@@ -301,7 +301,6 @@ def fit_streaming(
     held_motion = predict_motion(drives, holding)
     burn_in = config.burn_in
     force_nets = learn("force", joined, force_errors)
-    record.close()
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
     return StreamingSurrogate(

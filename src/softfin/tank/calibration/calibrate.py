@@ -161,7 +161,6 @@ def calibrate_tank(
         tell("search", generation / generations, f"1 - R2 {least:.4f}")
 
     point = search(loss, space.start, config.step, losses, seed, searched)
-    record.close()
 
     def polished(iteration: int, loss: float) -> None:
         tell("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")

@@ -1,0 +1,56 @@
+"""Advisory locks on files (flock). The kernel releases a lock when its process ends for any
+reason."""
+
+import contextlib
+import os
+from pathlib import Path
+
+
+def lock_file(path: Path) -> int:
+    """Lock a file, which is created if it is missing, and write the process number into it.
+
+    Returns a descriptor; closing it releases the lock. The holder of the lock may remove the file.
+    Raises BlockingIOError if the file is already locked, and another OSError or ImportError if
+    files cannot be locked here.
+    """
+    # Imported here because Windows does not have it.
+    import fcntl
+
+    descriptor = _open(path)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    # The previous holder may have removed the file after it was opened here. Another process could
+    # then lock a new file of the same name.
+    if os.fstat(descriptor).st_nlink == 0:
+        os.close(descriptor)
+        return lock_file(path)
+    # The number is only for messages, so a full disk must not prevent the lock. Its width is fixed,
+    # so that it replaces any earlier number.
+    with contextlib.suppress(OSError):
+        os.pwrite(descriptor, f"{os.getpid():20}\n".encode(), 0)
+    return descriptor
+
+
+def describe_holder(path: Path) -> str:
+    """Return `` (process NUMBER)`` for the process that locked a file, or an empty string if it is
+    unknown."""
+    number = ""
+    with contextlib.suppress(OSError):
+        number = path.read_text(errors="replace").strip()
+    return f" (process {number})" if number.isdecimal() else ""
+
+
+def _open(path: Path) -> int:
+    """Open a lock file, possibly created by another user, but never through a symbolic link."""
+    try:
+        # Without O_CREAT, which Linux rejects for files of other users in a shared folder
+        # (fs.protected_regular).
+        return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        # The umask would deny other users access to the file.
+        os.fchmod(descriptor, 0o666)
+        return descriptor

@@ -1,0 +1,72 @@
+"""One process at a time holds the lock of a file."""
+
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softfin.core.file_lock import describe_holder, lock_file
+from tests.patience import HANG_S
+
+ROOT = Path(__file__).parents[2]
+
+HOLDER = """
+import sys
+from pathlib import Path
+from softfin.core.file_lock import lock_file
+lock_file(Path(sys.argv[1]))
+print("locked", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_file_of_another_process_is_refused_until_that_process_is_killed(tmp_path):
+    path = tmp_path / "lock"
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
+    )
+    try:
+        assert holder.stdout.readline() == "locked\n"
+        with pytest.raises(BlockingIOError):
+            lock_file(path)
+        assert describe_holder(path) == f" (process {holder.pid})"
+    finally:
+        holder.kill()
+        holder.communicate(timeout=HANG_S)
+    os.close(lock_file(path))
+    assert describe_holder(path) == f" (process {os.getpid()})"
+
+
+def test_a_file_that_its_holder_removes_before_it_is_locked_is_not_taken_for_the_new_one(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "lock"
+    lock = fcntl.flock
+    removals = iter([path.unlink])
+
+    def flock(descriptor, operation):
+        lock(descriptor, operation)
+        # Only the first time.
+        for remove in removals:
+            remove()
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    descriptor = lock_file(path)
+    with pytest.raises(BlockingIOError):
+        lock_file(path)
+    os.close(descriptor)
+
+
+@pytest.mark.parametrize("content", ["", "nobody", None])
+def test_a_holder_that_is_unknown_is_not_named(tmp_path, content):
+    path = tmp_path / "lock"
+    if content is not None:
+        path.write_text(content)
+    assert describe_holder(path) == ""

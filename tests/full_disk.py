@@ -1,0 +1,38 @@
+"""A disk that fills up while a run writes its training log."""
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from softfin.core.errors import RunError
+from softfin.storage.run_directory import CHECKPOINT, RunLog
+
+FULL = Path("/dev/full")
+needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
+
+
+def fill(file):
+    """Put a device without space in place of a file."""
+    file.unlink()
+    file.symlink_to(FULL)
+
+
+def check_that_a_full_disk_stops(job, work):
+    """The job, which writes to the folder `work`, ends with an error at the third entry of the
+    event file, and keeps its checkpoint."""
+    write = RunLog.write
+    entries = itertools.count(1)
+
+    def write_until_full(log, step, **scalars):
+        if next(entries) == 3:
+            (events,) = work.glob("events.*")
+            fill(events)
+        write(log, step, **scalars)
+
+    message = r"events\..*: cannot be written \(No space left on device\); free disk space, then"
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr(RunLog, "write", write_until_full)
+        with pytest.raises(RunError, match=message):
+            job()
+    assert (work / CHECKPOINT).is_file()

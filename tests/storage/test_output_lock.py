@@ -1,0 +1,99 @@
+"""Two processes never write to one output."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from softfin.core.errors import ArtifactError
+from softfin.core.file_lock import lock_file
+from softfin.stages.collect import collect
+from softfin.stages.controllers import find_gaits, map_forces, train
+from softfin.stages.live import collect_live
+from softfin.stages.reproduce import reproduce
+from softfin.stages.surrogates import calibrate, fit
+from softfin.storage.output_lock import lock_output
+from softfin.storage.run_directory import CHECKPOINT
+
+MESSAGE = (
+    rf"out: another softfin process \(process {os.getpid()}\) is writing to it; wait until it "
+    "ends, or choose another --out"
+)
+
+
+@lock_output
+def write(out, then=lambda: None):
+    out.mkdir(exist_ok=True)
+    then()
+
+
+@pytest.fixture
+def held(tmp_path):
+    """An output that is being written to."""
+    descriptor = lock_file(tmp_path / ".out.lock")
+    yield tmp_path / "out"
+    os.close(descriptor)
+
+
+@pytest.mark.parametrize("options", [{}, {"resume": True}, {"overwrite": True}])
+@pytest.mark.parametrize("stage", [train, fit, calibrate, reproduce])
+def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, options):
+    checkpoint = held.with_name(".out.unfinished") / CHECKPOINT
+    checkpoint.parent.mkdir()
+    checkpoint.write_text("of the first run")
+    with pytest.raises(ArtifactError, match=MESSAGE):
+        stage(Path("missing"), held, **options)
+    assert checkpoint.read_text() == "of the first run"
+
+
+@pytest.mark.parametrize("stage", [collect, map_forces, find_gaits])
+def test_a_second_stage_is_refused(held, stage):
+    with pytest.raises(ArtifactError, match=MESSAGE):
+        stage("missing", held)
+
+
+def test_a_second_collection_is_refused_before_anything_is_opened(held):
+    with pytest.raises(ArtifactError, match=MESSAGE):
+        collect_live(None, held, None, None)
+
+
+def test_a_link_to_the_output_is_the_same_output(held):
+    held.mkdir()
+    link = held.with_name("link")
+    link.symlink_to(held)
+    with pytest.raises(ArtifactError, match=MESSAGE):
+        write(link)
+
+
+def test_the_output_is_locked_while_it_is_written_and_leaves_no_lock(tmp_path):
+    out = tmp_path / "new" / "out"
+
+    def write_again():
+        with pytest.raises(ArtifactError, match=MESSAGE):
+            write(out)
+
+    write(out, write_again)
+    write(out)
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_a_run_that_fails_leaves_no_lock(tmp_path):
+    def fail():
+        raise ArtifactError("no such log")
+
+    with pytest.raises(ArtifactError, match="no such log"):
+        write(tmp_path / "out", fail)
+    write(tmp_path / "out")
+
+
+def test_an_output_that_cannot_be_locked_is_written(tmp_path):
+    # A folder in place of the file, which no user can open for writing.
+    (tmp_path / ".out.lock").mkdir()
+    write(tmp_path / "out")
+    assert (tmp_path / "out").is_dir()
+
+
+def test_a_file_left_behind_by_a_killed_process_is_no_obstacle(tmp_path):
+    (tmp_path / ".out.lock").write_text("1\n")
+    write(tmp_path / "out")
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"]
