@@ -34,13 +34,18 @@ def lock_file(path: Path) -> int:
     return descriptor
 
 
+def find_holder(path: Path) -> int | None:
+    """Return the number of the process that locked a file; None if it is unknown."""
+    with contextlib.suppress(OSError, ValueError):
+        return int(path.read_text(errors="replace"))
+    return None
+
+
 def describe_holder(path: Path) -> str:
     """Return `` (process NUMBER)`` for the process that locked a file, or an empty string if it is
     unknown."""
-    number = ""
-    with contextlib.suppress(OSError):
-        number = path.read_text(errors="replace").strip()
-    return f" (process {number})" if number.isdecimal() else ""
+    process = find_holder(path)
+    return "" if process is None else f" (process {process})"
 
 
 def _open(path: Path) -> int:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from softfin.core.clock import Clock
 from softfin.core.errors import RigError
+from softfin.core.file_lock import describe_holder, find_holder, lock_file
 from softfin.rig.simulated_clock import SimulatedClock
 
 LOCK_FOLDER = Path("/run/lock")
@@ -52,16 +53,20 @@ class DeviceLock:
         if self._descriptor is not None or isinstance(clock, SimulatedClock):
             return
         self.note = None
+        path = _folder() / self._file
         try:
-            descriptor = _open(_folder() / self._file)
-        except OSError as error:
-            self._go_without(error)
-            return
-        try:
-            self._lock(descriptor)
-        except BaseException:
-            os.close(descriptor)
-            raise
+            self._descriptor = lock_file(path)
+        except BlockingIOError:
+            raise RigError(
+                f"{self._device}: in use by another program on this computer"
+                f"{describe_holder(path)}; end it first"
+            ) from None
+        except (OSError, ImportError) as error:
+            # Without locks the fin can still be used, but the user has to avoid conflicts.
+            self.note = (
+                f"{self._device}: cannot be locked ({error}); make sure that no other program "
+                "uses it"
+            )
 
     def take_over(self, clock: Clock) -> bool:
         """Ask another program that holds the lock to stop its fin and end (SIGTERM), and wait
@@ -82,10 +87,10 @@ class DeviceLock:
     def _ask_holder(self) -> bool:
         """Send SIGTERM to the program that holds the lock; return whether there was one."""
         path = _folder() / self._file
+        process = find_holder(path)
         with contextlib.suppress(OSError):
-            number = path.read_text(errors="replace").strip()
-            if number.isdecimal() and _has_open(int(number), path):
-                os.kill(int(number), signal.SIGTERM)
+            if process not in (None, os.getpid()) and _has_open(process, path):
+                os.kill(process, signal.SIGTERM)
                 return True
         return False
 
@@ -96,33 +101,6 @@ class DeviceLock:
         if descriptor is not None:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
-
-    def _lock(self, descriptor: int) -> None:
-        try:
-            # Imported here because Windows does not have it.
-            import fcntl
-
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            number = os.pread(descriptor, 20, 0).decode(errors="replace").strip()
-            process = f" (process {number})" if number.isdecimal() else ""
-            raise RigError(
-                f"{self._device}: in use by another program on this computer{process}; end it first"
-            ) from None
-        except (ImportError, OSError) as error:
-            os.close(descriptor)
-            self._go_without(error)
-            return
-        self._descriptor = descriptor
-        with contextlib.suppress(OSError):
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-
-    def _go_without(self, error: Exception) -> None:
-        # Without locks the fin can still be used, but the user has to avoid conflicts.
-        self.note = (
-            f"{self._device}: cannot be locked ({error}); make sure that no other program uses it"
-        )
 
 
 def _folder() -> Path:
@@ -145,16 +123,3 @@ def _has_open(process: int, path: Path) -> bool:
                 if descriptor.samefile(path):
                     return True
     return False
-
-
-def _open(path: Path) -> int:
-    """Open a lock file, possibly created by another user, but never through a symbolic link."""
-    try:
-        # Without O_CREAT, which Linux rejects for files of other users in a shared folder
-        # (fs.protected_regular).
-        return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        # The umask would deny other users access to the file.
-        os.fchmod(descriptor, 0o666)
-        return descriptor
