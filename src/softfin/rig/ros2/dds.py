@@ -151,6 +151,9 @@ class DdsTransport:
                 "that this program does not use another interface for this domain"
             ) from None
         self._own: set[str] = set()
+        self._publications: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._others: dict[UUID, tuple[str, UUID]] = {}
+        """Topics and participants of the publishers in other nodes, by their keys."""
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """Create a writer."""
@@ -222,10 +225,26 @@ class DdsTransport:
                 topics.append((publication.topic_name[2:], kind.replace("::", "/")))
         return dict(sorted(topics))
 
+    def publishers(self, topic: str) -> list[str]:
+        """Return the processes of the publishers of a topic in other nodes, sorted."""
+        if self._participant is None:
+            return []
+        for publication in self._publications.take(1000):
+            if not publication.sample_info.valid_data:
+                self._others.pop(publication.key, None)
+            elif str(publication.key) not in self._own:
+                place = publication.topic_name, publication.participant_key
+                self._others[publication.key] = place
+        return sorted(
+            _name_participant(self._participant, participant_key)
+            for name, participant_key in self._others.values()
+            if name == f"rt{topic}"
+        )
+
     def close(self) -> None:
         """Release the participant; readers and writers still in use are closed with their last
         reference."""
-        self._participant = None
+        self._participant = self._publications = None
 
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
