@@ -35,9 +35,7 @@ def iterate_due(
 def measure(fin: EmulatedFin, turn: Float[np.ndarray, "3 3"], number: int) -> Wrench:
     """Return the fin's wrench now in the axes of a sensor, with the noise of a record [N, N m];
     `turn` rotates from softfin's axes."""
-    fx, fy, fz, tx, ty, tz = (
-        rotated(fin.now().wrench, turn) + NOISE[number % len(NOISE)]
-    ).tolist()
+    fx, fy, fz, tx, ty, tz = (rotated(fin.now().wrench, turn) + NOISE[number % len(NOISE)]).tolist()
     return fx, fy, fz, tx, ty, tz
 
 

@@ -30,7 +30,7 @@ from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
-from softfin.rig.device import is_address
+from softfin.rig.device import drop_address
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record
@@ -353,9 +353,7 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     for device in ("drive", "sensor"):
         if device in kept:
-            kept[device] = {
-                name: value for name, value in kept[device].items() if not is_address(name)
-            }
+            kept[device] = drop_address(kept[device])
     return kept
 
 
