@@ -16,6 +16,7 @@ from typing import Literal, NoReturn, TypeAlias
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
+from softfin.rig.loss_estimate import RecordLosses
 from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
@@ -27,6 +28,9 @@ MeasuredForce: TypeAlias = tuple[float, float]
 """Force (x, y) [N]."""
 
 SessionState = Literal["unconfigured", "inactive", "active", "stopped"]
+
+Warn = Callable[[str], None]
+"""Function that shows a one-line warning to the operator."""
 
 Observer = Callable[[Sample, Target | None], None]
 """Function called at each tick with the sample and the active command; must return
@@ -65,11 +69,15 @@ class Session:
         *,
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
+        warn: Warn = lambda line: None,
     ) -> None:
+        """`warn` is called at the end if many of the sensor's records were lost."""
         self.machine = machine
         self.guard = guard
         self.stop_request = stop or StopRequest()
         self.observers = observers
+        self._warn = warn
+        self._losses = RecordLosses()
         self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"
@@ -110,11 +118,16 @@ class Session:
                 "the session ended" if kind is None else f"ended by {kind.__name__}: {error}"
             )
         self.state = "stopped"
+        self._losses.end(self.machine.counters())
         try:
             self.machine.close()
         finally:
             gc.unfreeze()
             self._until_closed.close()
+        if (warning := self._losses.warning()) is not None:
+            # The terminal may be closed.
+            with contextlib.suppress(OSError):
+                self._warn(warning)
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
             # Regardless of why the session ended, the operator must be told that the fin may not be
             # safe.
@@ -230,6 +243,7 @@ class Session:
         # Samples read without power are not part of the motion that starts here.
         self.guard.restart()
         self.state = "active"
+        self._losses.start(self.machine.counters())
         self._record_event(f"active: {self.machine.name}")
         self.pace.start()
         self._watchdog = Watchdog(
@@ -247,6 +261,7 @@ class Session:
         if self.state == "active":
             self.state = "inactive"
             self.target = None
+            self._losses.end(self.machine.counters())
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
