@@ -17,21 +17,21 @@ from tests.rig.rigs import values_of
 
 
 def warnings_of(transmit, is_stopped=False):
-    """Warnings at the end of a session of two motions with a minute without reading in between."""
+    """Warnings at the end of a session of two motions, with pauses in which nobody reads."""
     clock = SimulatedClock()
     warnings = []
     with EmulatedRig(fin=BrakingFin(80.0, clock), clock=clock, sensor="lines") as behind:
         rig = Rig(RigConfig.build(values_of(behind)), clock)
         guard = Guard(rig.config.safety, rig.limits)
         with Session(rig, guard, warn=warnings.append) as session:
-            clock.sleep(60.0)
+            clock.sleep(5.0)
             session.activate()
             behind.sensor.transmit = transmit
-            session.hold(Target(1.0, 2.0), 200)
+            session.hold(Target(1.0, 2.0), 100)
             session.deactivate()
-            clock.sleep(60.0)
+            clock.sleep(5.0)
             session.activate()
-            session.hold(Target(-1.0, 2.0), 200)
+            session.hold(Target(-1.0, 2.0), 100)
             if is_stopped:
                 session.stop_request.ask("emergency_stop", "stopped by a key")
                 with pytest.raises(SafetyStop):
@@ -49,7 +49,7 @@ def every(period, instead):
 @pytest.mark.parametrize("is_stopped", [False, True])
 @pytest.mark.parametrize(
     ("period", "instead", "share"),
-    [(2, (), "50%"), (50, (), "2%"), (20, (b"x\r\n",), "5%"), (2, (b"x\r\n",), "50%")],
+    [(2, (), "50%"), (50, (), "2%"), (20, (b"x\r\n",), "5%")],
 )
 def test_many_lost_or_unusable_records_are_a_warning_with_their_share(
     period, instead, share, is_stopped

@@ -3,54 +3,37 @@ saturated. Without I/O: values in, names of frozen channels out."""
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
+from jaxtyping import Float
+
 FROZEN_RECORDS = 20
 """Minimum number of consecutive equal values that counts as frozen. If the noise of a channel has a
 standard deviation of one count, 20 values are equal by chance once in 3e8 records."""
 
 
 class FrozenChannels:
-    """Record of how long each channel of a sensor has had its present value.
-
-    Channels are counted separately, because the others usually still change if one of them fails.
-    """
+    """Counts the equal values of each channel by itself, because the others usually still change if
+    one of them fails."""
 
     def __init__(
-        self, channels: Sequence[str], longest_s: float, optional: Collection[str] = ()
+        self, channels: Sequence[str], longest: float, optional: Collection[str] = ()
     ) -> None:
-        """A channel that stays constant for `longest_s` [s] is frozen. `optional` channels count
-        only once they have changed, because a sensor may lack them."""
-        self._channels = channels
-        self._longest_s = longest_s
-        self._unchanged = {channel for channel in channels if channel in optional}
-        self._time = 0.0
-        """Time of the latest record [s]."""
-        self._values: Sequence[float] | None = None
-        self._since = [0.0] * len(channels)
-        """Time of the first record with the present value [s], for each channel."""
-        self._records = [0] * len(channels)
-        """Number of consecutive records with the present value, for each channel."""
+        """A channel with `longest` consecutive equal values is frozen. A sensor may lack `optional`
+        channels, so they do not count while they have always been 0."""
+        self._channels = np.array(channels)
+        self._longest = max(longest, FROZEN_RECORDS)
+        self._is_measured = ~np.isin(self._channels, list(optional))
+        self._values = np.full(len(channels), np.nan)
+        self._equal = np.zeros(len(channels))
 
-    def put(self, values: Sequence[float], time: float) -> None:
-        """Register the values of a record and its time [s]."""
-        before = self._values
-        for index, value in enumerate(values):
-            if before is None or value != before[index]:
-                self._since[index] = time
-                self._records[index] = 0
-                if before is not None:
-                    self._unchanged.discard(self._channels[index])
-            self._records[index] += 1
+    def put(self, values: Float[np.ndarray, " channels"]) -> None:
+        """Register the values of a record."""
+        self._equal = np.where(values == self._values, self._equal + 1, 1)
+        self._is_measured |= values != 0
         self._values = values
-        self._time = time
 
     def names(self) -> list[str]:
         """Return the names of the frozen channels."""
-        return [
-            channel
-            for channel, since, records in zip(
-                self._channels, self._since, self._records, strict=True
-            )
-            if channel not in self._unchanged
-            and records >= FROZEN_RECORDS
-            and self._time - since >= self._longest_s
-        ]
+        is_frozen = self._is_measured & (self._equal >= self._longest)
+        names: list[str] = self._channels[is_frozen].tolist()
+        return names

@@ -2,7 +2,6 @@
 the share that a whole session lost."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 
 MIN_CREDIT = 0.5
@@ -16,37 +15,18 @@ WARNED_SHARE = 0.01
 """Smallest share of lost and unusable records of which the operator is warned."""
 
 
-class RecordLosses:
-    """Counts the records that a sensor lost while the fin was active. In between, softfin does not
-    read the sensor, and losses do not matter."""
-
-    def __init__(self) -> None:
-        self._counted: Counter[str] = Counter()
-        self._is_active = False
-
-    def start(self, counters: Mapping[str, int]) -> None:
-        """Start counting; `counters` are those of the machine now."""
-        self._counted.subtract(counters)
-        self._is_active = True
-
-    def end(self, counters: Mapping[str, int]) -> None:
-        """Stop counting, if it was started."""
-        if self._is_active:
-            self._counted.update(counters)
-            self._is_active = False
-
-    def warning(self) -> str | None:
-        """Return a warning with the share of lost and unusable records; None if there are few."""
-        unusable = self._counted["sensor_malformed"]
-        # If the records have numbers or time stamps, unusable ones count as lost, too.
-        lost = max(self._counted["sensor_lost"], unusable)
-        sent = self._counted["sensor_records"] - unusable + lost
-        if lost < max(WARNED_SHARE * sent, 1):
-            return None
-        return (
-            f"force sensor: {lost / sent:.0%} of its records were lost or unusable ({lost} of "
-            f"{sent}); check its cable, supply and network, then run: softfin rig check"
-        )
+def explain_losses(counters: Mapping[str, int]) -> str | None:
+    """Return a warning with the share of lost and unusable records; None if there are few."""
+    unusable = counters.get("sensor_malformed", 0)
+    # If the records have numbers or time stamps, unusable ones count as lost, too.
+    lost = max(counters.get("sensor_lost", 0), unusable)
+    sent = counters.get("sensor_records", 0) - unusable + lost
+    if lost < max(WARNED_SHARE * sent, 1):
+        return None
+    return (
+        f"force sensor: {lost / sent:.0%} of its records were lost or unusable ({lost} of {sent}); "
+        "check its cable, supply and network, then run: softfin rig check"
+    )
 
 
 class LossEstimate:

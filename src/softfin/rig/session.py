@@ -7,6 +7,7 @@ code first stops the machine and is then reported.
 
 import contextlib
 import gc
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
@@ -16,7 +17,7 @@ from typing import Literal, NoReturn, TypeAlias
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.loss_estimate import RecordLosses
+from softfin.rig.loss_estimate import explain_losses
 from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
@@ -77,7 +78,9 @@ class Session:
         self.stop_request = stop or StopRequest()
         self.observers = observers
         self._warn = warn
-        self._losses = RecordLosses()
+        self._counted: Counter[str] = Counter()
+        """Counters of the machine while the fin was active; in between, softfin does not read the
+        sensor, so losses do not matter."""
         self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"
@@ -117,14 +120,13 @@ class Session:
             self._record_event(
                 "the session ended" if kind is None else f"ended by {kind.__name__}: {error}"
             )
-        self.state = "stopped"
-        self._losses.end(self.machine.counters())
+        self._leave("stopped")
         try:
             self.machine.close()
         finally:
             gc.unfreeze()
             self._until_closed.close()
-        if (warning := self._losses.warning()) is not None:
+        if (warning := explain_losses(self._counted)) is not None:
             # The terminal may be closed.
             with contextlib.suppress(OSError):
                 self._warn(warning)
@@ -243,7 +245,7 @@ class Session:
         # Samples read without power are not part of the motion that starts here.
         self.guard.restart()
         self.state = "active"
-        self._losses.start(self.machine.counters())
+        self._counted.subtract(self.machine.counters())
         self._record_event(f"active: {self.machine.name}")
         self.pace.start()
         self._watchdog = Watchdog(
@@ -259,9 +261,8 @@ class Session:
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
             self.abort(Trip("motor_on", "the drive did not confirm power-off"))
         if self.state == "active":
-            self.state = "inactive"
+            self._leave("inactive")
             self.target = None
-            self._losses.end(self.machine.counters())
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
@@ -335,7 +336,7 @@ class Session:
         self.machine.stop()
         self._unwatch()
         if self.state != "stopped":
-            self.state = "stopped"
+            self._leave("stopped")
             self.trip = trip
             self._record_event(f"stopped: {trip.cause}: {trip.reason}")
         unconfirmed = self.machine.stop_unconfirmed
@@ -358,6 +359,12 @@ class Session:
                 return sample
         assert latest_trip is not None
         self.abort(latest_trip)
+
+    def _leave(self, state: SessionState) -> None:
+        """Change to a state in which the fin does not move."""
+        if self.state == "active":
+            self._counted.update(self.machine.counters())
+        self.state = state
 
     def _unwatch(self) -> None:
         if self._watchdog is not None:

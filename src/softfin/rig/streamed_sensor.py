@@ -112,11 +112,6 @@ class RecordSource(Protocol):
         """Address of the sensor, for its lock."""
 
     @property
-    def channels(self) -> Sequence[str]:
-        """Channels of the wrench that the sensor certainly measures; the others may always be
-        0."""
-
-    @property
     def trouble(self) -> str | None:
         """Reason why no more records will arrive; None while they may."""
 
@@ -178,8 +173,9 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        missing = set(WRENCH_CHANNELS) - set(self._source.channels)
-        self._frozen = FrozenChannels(WRENCH_CHANNELS, STUCK_S, missing)
+        longest = STUCK_S * self.config.rate_hz
+        # Not every sensor measures more than softfin's two forces.
+        self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
         self._collected: list[Float[np.ndarray, " 6"]] | None = None
@@ -324,7 +320,7 @@ class StreamedSensor:
                 # The numbers may have jumped by more than the elapsed time.
                 self.times.restart()
             self._filter.put(values, record.missing)
-        self._frozen.put(values.tolist(), record.time)
+        self._frozen.put(values)
         self._newest = values
         np.maximum(self._peak, np.abs(values - self._offset), out=self._peak)
         if self._collected is not None:

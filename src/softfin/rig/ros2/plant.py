@@ -263,12 +263,7 @@ class Ros2Machine:
         flipper = self.config.flipper
         sign = self._sign
         turn = rotation(self.config.frame)
-        self.device_lock.acquire(self.clock)
-        try:
-            transport = self._opener(config.connection, self._types)
-        except BaseException:
-            self.device_lock.release()
-            raise
+        transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], object]) -> Subscription[Any]:
             quality: Quality = "best_effort" if config.best_effort else "reliable"
@@ -286,6 +281,7 @@ class Ros2Machine:
             )
 
         try:
+            self.device_lock.acquire(self.clock)
             # Report errors in a flipper's configuration before anything is sent.
             encode(Target(0.0, 0.0), 0.0)
             joint = subscribe(

@@ -184,13 +184,19 @@ def test_a_slow_sensor_needs_twenty_equal_lines():
         assert "values are frozen (force_x)" in sensor.complaints()[0]
 
 
-def test_a_column_that_was_dead_from_the_start_is_a_fault():
+@pytest.mark.parametrize(("text", "is_measured"), [(b"0.5", True), (b"0.0", False)])
+def test_a_column_that_was_dead_from_the_start_is_a_fault_unless_it_may_not_be_measured(
+    text, is_measured
+):
     columns = ("count", "force_x", "force_y", "torque_z")
     with bench(columns=columns) as (emulated, sensor, clock):
-        emulated.transmit = lambda line: (line.strip() + b",0.0\r\n",)
+        emulated.transmit = lambda line: (line.strip() + b"," + text + b"\r\n",)
         sensor.open()
         run(sensor, clock, 1.0)
-        assert "values are frozen (torque_z)" in sensor.complaints()[0]
+        complaints = sensor.complaints()
+        assert ["values are frozen (torque_z)" in line for line in complaints] == [
+            True
+        ] * is_measured
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 80.0])

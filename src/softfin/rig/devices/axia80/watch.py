@@ -5,6 +5,8 @@ Without I/O: records in, messages out. Each record contains the sensor's sample 
 (`ft_sequence`), which is reset only by a power cycle.
 """
 
+import numpy as np
+
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtRecord, wrapped_step
 from softfin.rig.frozen import FrozenChannels
 from softfin.rig.machine import WRENCH_CHANNELS
@@ -41,7 +43,7 @@ class StreamWatch:
         """Whether the sensor has restarted since the stream was opened."""
         self._busy_records = round(FROZEN_S * rate_hz)
         self._busy = 0
-        self._frozen = FrozenChannels((*WRENCH_CHANNELS, SAMPLE_COUNTER), FROZEN_S)
+        self._frozen = FrozenChannels((*WRENCH_CHANNELS, SAMPLE_COUNTER), self._busy_records)
         self._began = 0.0
         """Arrival time of the first record [s]."""
         self._samples = 0
@@ -67,7 +69,7 @@ class StreamWatch:
     def take(self, record: RdtRecord, time: float) -> None:
         """Process a record that arrived at `time` [s]; it must be newer than those before."""
         self._busy = self._busy + 1 if record.status >> BUSY_BIT & 1 else 0
-        self._frozen.put((*record.counts, record.ft_sequence), time)
+        self._frozen.put(np.array((*record.counts, record.ft_sequence)))
         if self._newest is None:
             self._began = time
             self._newest = record, time

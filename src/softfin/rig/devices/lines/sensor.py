@@ -8,7 +8,6 @@ from softfin.rig.device import CheckResult
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
-from softfin.rig.machine import WRENCH_CHANNELS
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
@@ -57,11 +56,6 @@ class LineSource:
     def key(self) -> tuple[object, ...]:
         """The port of this computer."""
         return "lines", self.config.port or self.config.udp_port
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The columns with forces and torques."""
-        return tuple(column for column in self.config.columns if column in WRENCH_CHANNELS)
 
     @property
     def trouble(self) -> str | None:

@@ -52,8 +52,6 @@ class TopicSource:
 
     unit = "message"
     remedy = "check its driver and the network"
-    # A driver of a sensor without torques publishes zeros.
-    channels = ("force_x", "force_y")
 
     def __init__(self, config: TopicSensorConfig, clock: Clock) -> None:
         self.config = config
