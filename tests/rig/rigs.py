@@ -61,10 +61,11 @@ def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[Emulated
 
 
 @contextmanager
-def simulated(tank: Tank | None = None) -> Iterator[EmulatedRig]:
+def simulated(tank: Tank | None = None, sensor: str = "axia80") -> Iterator[EmulatedRig]:
     """Likewise, without the host's side."""
     clock = SimulatedClock()
-    with EmulatedRig(tank, fin=None if tank else SimpleFin(clock), clock=clock) as behind:
+    fin = None if tank else SimpleFin(clock)
+    with EmulatedRig(tank, fin=fin, clock=clock, sensor=sensor) as behind:
         yield behind
 
 

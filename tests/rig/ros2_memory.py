@@ -84,6 +84,8 @@ class MemoryTransport:
         self.deadlines = {}
         self.mismatched = defaultdict(int)
         self.readers = defaultdict(lambda: 1)
+        self.publishing = defaultdict(lambda: ["somebody"])
+        self.commanders = []
         self.closed = False
         self.failing = False
 
@@ -111,10 +113,13 @@ class MemoryTransport:
             taken = len(self.waiting[topic])
             return [(data, at) for data, at, offered in news if quality in HEARD_BY[offered]]
 
-        return Subscriber(take, lambda: self.mismatched[topic], lambda: ["somebody"])
+        return Subscriber(take, lambda: self.mismatched[topic], lambda: self.publishing[topic])
 
     def topics(self):
         return {"/somebody": "std_msgs/msg/Bool"}
+
+    def publishers(self, topic):
+        return self.commanders if topic == "/command" else []
 
     def close(self):
         self.closed = True

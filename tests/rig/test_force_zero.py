@@ -175,6 +175,50 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     opened(config, behind.clock)
 
 
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"frame": "x,y"}, "frame was y,-x and is x,y"),
+        ({"scale": {"force_x": 2.0, "force_y": 1.0}}, "scale was {} and is {'force_x': 2.0, "),
+        ({"rate_hz": 300.0, "frame": "x,y"}, "frame was y,-x and is x,y, rate_hz was 320.0 and"),
+    ],
+)
+def test_a_zero_that_was_set_with_other_settings_is_refused_with_what_changed(
+    tmp_path, values, words
+):
+    with simulated(sensor="lines") as behind:
+        config: RigConfig = config_of(behind)
+        config._file = tmp_path / "rig.yaml"
+        zero_force(config, 0.2, behind.clock)
+        changed = RigConfig.build(behind.values(sensor=behind.values()["sensor"] | values))
+        changed._file = config.file
+        (row,) = [
+            row
+            for row in check_rig(changed, tmp_path, 0.2, behind.clock)
+            if row.what == "force zero"
+        ]
+        assert row.state == "wrong"
+        assert f"its settings have changed since its zero was set ({words}" in row.text
+        assert row.text.endswith("run: softfin rig zero --force")
+        with pytest.raises(RigError, match="its settings have changed"):
+            opened(changed, behind.clock)
+        opened(config, behind.clock)
+        zero_force(changed, 0.2, behind.clock)
+        opened(changed, behind.clock)
+
+
+def test_a_zero_survives_another_address_and_records_of_earlier_versions(tmp_path):
+    with simulated(sensor="lines") as behind:
+        config: RigConfig = config_of(behind)
+        config._file = tmp_path / "rig.yaml"
+        zero_force(config, 0.2, behind.clock)
+        record = json.loads(record_file(config.file).read_text())
+        assert "udp_port" not in record["force_zero"]["sensor"]
+        del record["force_zero"]["sensor"]
+        record_file(config.file).write_text(json.dumps(record))
+        opened(config, behind.clock)
+
+
 def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
     behind, config = bench
 

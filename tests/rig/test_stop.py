@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from softfin.core.errors import SafetyStop
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import (
     STOP_SIGNALS,
@@ -18,6 +19,7 @@ from softfin.rig.stop import (
     interrupted_by_signals,
     listen_to_keyboard,
     stopped_by_signals,
+    undisturbed_after_stop,
 )
 from tests.patience import HANG_S, wait_until
 
@@ -204,6 +206,18 @@ def test_no_signal_breaks_off_a_stop_that_is_under_way(monkeypatch):
         request.is_obeyed = True
         signal.raise_signal(signal.SIGINT)
     assert request.trip.reason == "stopped by Ctrl-C"
+
+
+def test_signals_are_ignored_only_while_a_safety_stop_is_handled():
+    with handled_by(signal.SIGINT, signal.default_int_handler) as before:
+        with undisturbed_after_stop():
+            try:
+                raise SafetyStop("stopped")
+            except SafetyStop:
+                signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.parametrize("name", STOP_SIGNALS)

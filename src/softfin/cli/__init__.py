@@ -86,19 +86,23 @@ COMMANDS = {name: command for group in GROUPS.values() for name, command in grou
 STOPPED = 1
 """Exit code after Ctrl-C, the same as for a failure at run time."""
 
+FIN_STOPPED = 3
+"""Exit code after a fin was stopped for safety."""
+
 
 def script() -> None:
     """Run `main` as the installed command. After Ctrl-C, exit at once: a compiled program may still
-    be running."""
+    be running, and another Ctrl-C would change the exit code."""
     use_program_cache()
     try:
         main()
     except SystemExit as stop:
-        if not isinstance(stop.__cause__, KeyboardInterrupt):
+        is_interrupted = isinstance(stop.__cause__, KeyboardInterrupt)
+        if not is_interrupted and stop.code != FIN_STOPPED:
             raise
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(STOPPED)
+        os._exit(STOPPED if is_interrupted else FIN_STOPPED)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -162,27 +166,33 @@ def _run(name: str, words: list[str]) -> None:
         _exit(f"softfin {name}: {missing}", 2)
     _configure_process()
     can_resume = False
-    try:
-        arguments = import_arguments(name)
-        can_resume = "resume" in arguments.model_fields
+    with contextlib.ExitStack() as until_exit:
         try:
-            command = options.parse(arguments, words)
-        except options.HelpRequested:
-            sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
-            raise SystemExit(0) from None
-        command.check()
-        command()
-    except KeyboardInterrupt as interrupt:
-        if debug:
-            raise
-        hint = "; run it again with --resume to continue" if can_resume else ""
-        sys.stderr.write(f"softfin {name}: stopped; no incomplete files were left{hint}\n")
-        raise SystemExit(STOPPED) from interrupt
-    except Exception as error:
-        if debug:
-            raise
-        message, code = _describe_error(error)
-        _exit(f"softfin {name}: {message}", code)
+            arguments = import_arguments(name)
+            can_resume = "resume" in arguments.model_fields
+            try:
+                command = options.parse(arguments, words)
+            except options.HelpRequested:
+                sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
+                raise SystemExit(0) from None
+            command.check()
+            if "arm" in arguments.model_fields:
+                # Imported here, because most commands do not need the rig.
+                from softfin.rig.stop import undisturbed_after_stop
+
+                until_exit.enter_context(undisturbed_after_stop())
+            command()
+        except KeyboardInterrupt as interrupt:
+            if debug:
+                raise
+            hint = "; run it again with --resume to continue" if can_resume else ""
+            sys.stderr.write(f"softfin {name}: stopped; no incomplete files were left{hint}\n")
+            raise SystemExit(STOPPED) from interrupt
+        except Exception as error:
+            if debug:
+                raise
+            message, code = _describe_error(error)
+            _exit(f"softfin {name}: {message}", code)
 
 
 def _configure_process() -> None:

@@ -99,7 +99,7 @@ class Driving(Armed, Common):
         acting: LoadedController | DisturbanceObserver = (
             DisturbanceObserver(controller) if self.trim else controller
         )
-        with Session(robot.machine, guard, stop=stop, observers=observers) as session:
+        with Session(robot.machine, guard, stop=stop, observers=observers, warn=say) as session:
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
                 say(

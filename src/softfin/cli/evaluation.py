@@ -78,7 +78,7 @@ class EvaluateArguments(Armed, Configured):
             )
 
     def __call__(self) -> None:
-        from softfin.cli.driving import KeyboardStop
+        from softfin.cli.driving import KeyboardStop, say
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
@@ -113,6 +113,7 @@ class EvaluateArguments(Armed, Configured):
                     config,
                     keys.confirm,
                     stop=keys.stop,
+                    warn=say,
                     overwrite=self.overwrite,
                     progress=report,
                 )

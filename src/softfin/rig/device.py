@@ -58,6 +58,11 @@ def is_address(field: str) -> bool:
     return field in ("address", "port", "connection") or field.endswith("_port")
 
 
+def drop_address(device: JsonObject) -> JsonObject:
+    """Return a device's configuration without the fields of its address."""
+    return {name: value for name, value in device.items() if not is_address(name)}
+
+
 class DriveConfig(DeviceConfig):
     """Settings that softfin needs from every drive."""
 

@@ -14,8 +14,8 @@ from softfin.core.clock import Clock
 from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.machine import Wrench, rotated
 
-NOISE_N = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 2))
-"""Noise of force x and y by the number of the record [N]; small, so that tests can compare
+NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
+"""Noise of each channel by the number of the record [N, N m]; small, so that tests can compare
 forces."""
 
 
@@ -35,10 +35,8 @@ def iterate_due(
 def measure(fin: EmulatedFin, turn: Float[np.ndarray, "3 3"], number: int) -> Wrench:
     """Return the fin's wrench now in the axes of a sensor, with the noise of a record [N, N m];
     `turn` rotates from softfin's axes."""
-    fx, fy, *rest = rotated(fin.now().wrench, turn)
-    noise = NOISE_N[number % len(NOISE_N)]
-    fz, tx, ty, tz = rest
-    return fx + noise[0], fy + noise[1], fz, tx, ty, tz
+    fx, fy, fz, tx, ty, tz = (rotated(fin.now().wrench, turn) + NOISE[number % len(NOISE)]).tolist()
+    return fx, fy, fz, tx, ty, tz
 
 
 class Pty:

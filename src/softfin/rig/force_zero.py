@@ -10,7 +10,7 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.gaits.reachable import round_size
 from softfin.rig.config import RigConfig
-from softfin.rig.device import ForceSensor
+from softfin.rig.device import ForceSensor, drop_address
 from softfin.rig.record import ForceZero, load_record, save_record
 from softfin.rig.safety import FORCE_PEAK_N
 
@@ -77,6 +77,7 @@ def zero_force(sensor: ForceSensor, config: RigConfig, seconds: float = 2.0) -> 
         ft_sequence=None if counter is None else counter.samples,
         wall_s=sensor.clock.wall(),
         wrench=sensor.zero_wrench,
+        sensor=_settings(sensor),
     )
     record = load_record(config.file)
     save_record(config.file, record.model_copy(update={"force_zero": zero}))
@@ -96,7 +97,7 @@ def tolerance_scale(config: RigConfig) -> float:
 
 def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None:
     """Return the recorded zero, or None if there is none; raises RigError if the open sensor has
-    lost it."""
+    lost it or has other settings."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
@@ -108,6 +109,17 @@ def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None
         )
     if (zero.wrench is None) != (sensor.zero_wrench is None):
         raise RigError(f"{sensor.name}: the zero was set with another type of sensor; {fix}")
+    now = _settings(sensor)
+    before = now if zero.sensor is None else zero.sensor
+    if changes := [
+        f"{name} was {before.get(name)} and is {now.get(name)}"
+        for name in sorted(before | now)
+        if before.get(name) != now.get(name)
+    ]:
+        raise RigError(
+            f"{sensor.name}: its settings have changed since its zero was set "
+            f"({', '.join(changes)}); {fix}"
+        )
     if zero.wrench is not None:
         sensor.restore_zero(zero.wrench)
     counter = sensor.sample_counter
@@ -121,6 +133,11 @@ def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None
             f"({zero.date}), so its zero is lost; {fix} (also if this computer's date was wrong)"
         )
     return zero
+
+
+def _settings(sensor: ForceSensor) -> JsonObject:
+    """Return the sensor's configuration, on which its zero depends, without its address."""
+    return drop_address(sensor.config.model_dump(mode="json"))
 
 
 def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_hz: float) -> bool:

@@ -1,6 +1,8 @@
-"""Number of records that are missing from an evenly sampled stream, by the times of the others."""
+"""Number of records that are missing from an evenly sampled stream, by the times of the others, and
+the share that a whole session lost."""
 
 import math
+from collections.abc import Mapping
 
 MIN_CREDIT = 0.5
 """Credit that is due to jitter or to the error of the rate, not to a record that came early."""
@@ -8,6 +10,23 @@ MIN_CREDIT = 0.5
 CREDIT_RECORDS = 32
 """Number of records after which credit that none of them needed expires; no driver sends more at
 once."""
+
+WARNED_SHARE = 0.01
+"""Smallest share of lost and unusable records of which the operator is warned."""
+
+
+def explain_losses(counters: Mapping[str, int]) -> str | None:
+    """Return a warning with the share of lost and unusable records; None if there are few."""
+    unusable = counters.get("sensor_malformed", 0)
+    # If the records have numbers or time stamps, unusable ones count as lost, too.
+    lost = max(counters.get("sensor_lost", 0), unusable)
+    sent = counters.get("sensor_records", 0) - unusable + lost
+    if lost < max(WARNED_SHARE * sent, 1):
+        return None
+    return (
+        f"force sensor: {lost / sent:.0%} of its records were lost or unusable ({lost} of {sent}); "
+        "check its cable, supply and network, then run: softfin rig check"
+    )
 
 
 class LossEstimate:

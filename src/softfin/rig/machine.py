@@ -16,6 +16,9 @@ from softfin.core.quantities import Limits
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 """Force (x, y, z) [N] and torque (x, y, z) [N m] of the fin on its mount, in softfin's axes."""
 
+WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
+"""Names of the channels of a wrench."""
+
 
 class Target(NamedTuple):
     """A command to the drive: a `Command` as two Python floats."""

@@ -9,7 +9,7 @@ import json
 from datetime import datetime
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
@@ -47,6 +47,8 @@ class ForceZero(Configuration):
     wrench: tuple[float, float, float, float, float, float] | None = None
     """Wrench that softfin subtracts, in the sensor's axes [N, N m]; None if the sensor subtracts it
     itself."""
+    sensor: dict[str, JsonValue] | None = None
+    """Configuration of the sensor without its address; None in records of earlier versions."""
 
 
 class RigRecord(Configuration):

@@ -7,6 +7,7 @@ code first stops the machine and is then reported.
 
 import contextlib
 import gc
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
@@ -16,6 +17,7 @@ from typing import Literal, NoReturn, TypeAlias
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
+from softfin.rig.loss_estimate import explain_losses
 from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
@@ -27,6 +29,9 @@ MeasuredForce: TypeAlias = tuple[float, float]
 """Force (x, y) [N]."""
 
 SessionState = Literal["unconfigured", "inactive", "active", "stopped"]
+
+Warn = Callable[[str], None]
+"""Function that shows a one-line warning to the operator."""
 
 Observer = Callable[[Sample, Target | None], None]
 """Function called at each tick with the sample and the active command; must return
@@ -65,11 +70,17 @@ class Session:
         *,
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
+        warn: Warn = lambda line: None,
     ) -> None:
+        """`warn` is called at the end if many of the sensor's records were lost."""
         self.machine = machine
         self.guard = guard
         self.stop_request = stop or StopRequest()
         self.observers = observers
+        self._warn = warn
+        self._counted: Counter[str] = Counter()
+        """Counters of the machine while the fin was active; in between, softfin does not read the
+        sensor, so losses do not matter."""
         self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"
@@ -109,12 +120,16 @@ class Session:
             self._record_event(
                 "the session ended" if kind is None else f"ended by {kind.__name__}: {error}"
             )
-        self.state = "stopped"
+        self._leave("stopped")
         try:
             self.machine.close()
         finally:
             gc.unfreeze()
             self._until_closed.close()
+        if (warning := explain_losses(self._counted)) is not None:
+            # The terminal may be closed.
+            with contextlib.suppress(OSError):
+                self._warn(warning)
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
             # Regardless of why the session ended, the operator must be told that the fin may not be
             # safe.
@@ -230,6 +245,7 @@ class Session:
         # Samples read without power are not part of the motion that starts here.
         self.guard.restart()
         self.state = "active"
+        self._counted.subtract(self.machine.counters())
         self._record_event(f"active: {self.machine.name}")
         self.pace.start()
         self._watchdog = Watchdog(
@@ -245,7 +261,7 @@ class Session:
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
             self.abort(Trip("motor_on", "the drive did not confirm power-off"))
         if self.state == "active":
-            self.state = "inactive"
+            self._leave("inactive")
             self.target = None
             self._record_event("inactive")
 
@@ -320,7 +336,7 @@ class Session:
         self.machine.stop()
         self._unwatch()
         if self.state != "stopped":
-            self.state = "stopped"
+            self._leave("stopped")
             self.trip = trip
             self._record_event(f"stopped: {trip.cause}: {trip.reason}")
         unconfirmed = self.machine.stop_unconfirmed
@@ -343,6 +359,12 @@ class Session:
                 return sample
         assert latest_trip is not None
         self.abort(latest_trip)
+
+    def _leave(self, state: SessionState) -> None:
+        """Change to a state in which the fin does not move."""
+        if self.state == "active":
+            self._counted.update(self.machine.counters())
+        self.state = state
 
     def _unwatch(self) -> None:
         if self._watchdog is not None:

@@ -9,13 +9,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any, TypeAlias
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.errors import SafetyStop
 from softfin.rig.safety import Trip
 
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 """Signals that stop the fin; the last one is Ctrl-Z, because a suspended program cannot monitor the
 fin."""
+
+_Handlers: TypeAlias = dict[int, Any]
+"""Handlers of signals, as in the standard library."""
 
 PATIENCE_S = 2.0
 """Time within which a second signal must not interrupt the stop started by the first [s], because
@@ -77,18 +82,41 @@ def interrupted_by_signals() -> Iterator[None]:
 
 
 @contextmanager
-def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Install a handler for the stop signals; has an effect only in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
+def undisturbed_after_stop() -> Iterator[None]:
+    """Ignore stop signals while a `SafetyStop` is being handled, and leave them as they are
+    otherwise.
+
+    People press Ctrl-C repeatedly, but the fin is already stopped, and its message and exit code
+    must not be lost.
+    """
+
+    def handle(number: int, _: FrameType | None) -> None:
+        error = sys.exception()
+        while error is not None:
+            if isinstance(error, SafetyStop):
+                return
+            error = error.__context__
+        signal.signal(number, before[number])
+        signal.raise_signal(number)
+
+    with _handling_signals(handle) as before:
         yield
+
+
+@contextmanager
+def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[_Handlers]:
+    """Install a handler for the stop signals; yields the previous handlers. Has an effect only in
+    the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield {}
         return
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
     # `nohup` ignores SIGHUP on purpose, so that an overnight data collection survives a dropped ssh
     # connection.
     numbers = [number for number in numbers if not _is_ignored_hangup(number)]
-    before = {number: signal.signal(number, handle) for number in numbers}
+    before: _Handlers = {number: signal.signal(number, handle) for number in numbers}
     try:
-        yield
+        yield before
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

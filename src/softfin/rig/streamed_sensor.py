@@ -18,8 +18,9 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.device import CheckResult, ForceReading, ForceSensorConfig
 from softfin.rig.filter import BRIDGED_S, AntiAlias, design
+from softfin.rig.frozen import FrozenChannels
 from softfin.rig.lock import DeviceLock
-from softfin.rig.machine import Wrench, rotated, rotation
+from softfin.rig.machine import WRENCH_CHANNELS, Wrench, rotated, rotation
 from softfin.rig.stream_clock import StreamClock
 
 FIRST_WAIT_S = 5.0
@@ -39,9 +40,9 @@ KEPT_S = 2.0
 MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
 
-STUCK_S = 1.0
-FROZEN_RECORDS = 20
-"""Time [s] and number of records for which all values may stay the same."""
+STUCK_S = 0.9
+"""Time for which a channel may keep its value [s]; short enough for a complaint within a second
+after it froze."""
 
 
 class StreamedSensorConfig(ForceSensorConfig):
@@ -172,7 +173,9 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        self._equal_records = 0
+        longest = STUCK_S * self.config.rate_hz
+        # Not every sensor measures more than softfin's two forces.
+        self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
         self._collected: list[Float[np.ndarray, " 6"]] | None = None
@@ -278,8 +281,11 @@ class StreamedSensor:
         if not self._is_open:
             return ()
         lines = list(self._source.complaints())
-        if self._equal_records >= max(FROZEN_RECORDS, STUCK_S * self.config.rate_hz):
-            lines.append("values are frozen; check the sensor, and do not round its noise away")
+        if names := self._frozen.names():
+            lines.append(
+                f"values are frozen ({', '.join(names)}); check the sensor, and do not round its "
+                "noise away"
+            )
         silent_s = self.clock() - self._arrival
         if silent_s > SILENT_S:
             unit = self._source.unit
@@ -314,8 +320,7 @@ class StreamedSensor:
                 # The numbers may have jumped by more than the elapsed time.
                 self.times.restart()
             self._filter.put(values, record.missing)
-        is_equal = self._newest is not None and bool((self._newest == values).all())
-        self._equal_records = self._equal_records + 1 if is_equal else 0
+        self._frozen.put(values)
         self._newest = values
         np.maximum(self._peak, np.abs(values - self._offset), out=self._peak)
         if self._collected is not None:

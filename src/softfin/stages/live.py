@@ -30,14 +30,14 @@ from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
-from softfin.rig.device import is_address
+from softfin.rig.device import drop_address
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
-from softfin.rig.session import MeasuredForce, Session
+from softfin.rig.session import MeasuredForce, Session, Warn
 from softfin.rig.stop import StopRequest
 from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
@@ -70,9 +70,6 @@ DRIFT_N = 0.2
 a fin with the peak force of the paper's fin. The rest force is subtracted from each log, but a
 sensor that drifts between logs also drifts within them."""
 
-Warn = Callable[[str], None]
-"""Function that shows a one-line warning to the operator."""
-
 
 @lock_output
 def collect_live(
@@ -90,7 +87,8 @@ def collect_live(
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
     With `resume`, finished logs are kept. `warn` is called for each log whose rest force has
-    changed. Raises SafetyStop if the fin had to be stopped; everything recorded until then is kept.
+    changed, and at the end if many of the sensor's records were lost. Raises SafetyStop if the fin
+    had to be stopped; everything recorded until then is kept.
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = find_bags(out)
@@ -113,9 +111,8 @@ def collect_live(
     if missing:
         # Two decimals with the default limit.
         decimals = force_decimals(robot.safety.force_peak_n) + 1
-        with Session(
-            robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop
-        ) as session:
+        guard = Guard(robot.safety, robot.machine.limits)
+        with Session(robot.machine, guard, stop=stop, warn=warn) as session:
             confirm(robot)
             session.stop_on_signals()
             artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
@@ -176,6 +173,7 @@ def evaluate_live(
     overwrite: bool = False,
     stop: StopRequest | None = None,
     progress: Progress = silent,
+    warn: Warn = lambda line: None,
 ) -> EvaluationSummary:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does
     on a simulated plant."""
@@ -185,7 +183,7 @@ def evaluate_live(
     acting: Controller = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = find_bags(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
-    with Session(robot.machine, guard, stop=stop) as session:
+    with Session(robot.machine, guard, stop=stop, warn=warn) as session:
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
@@ -355,9 +353,7 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     for device in ("drive", "sensor"):
         if device in kept:
-            kept[device] = {
-                name: value for name, value in kept[device].items() if not is_address(name)
-            }
+            kept[device] = drop_address(kept[device])
     return kept
 
 

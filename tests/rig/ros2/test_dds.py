@@ -230,6 +230,30 @@ print(opened(network="no-such").__class__.__name__)
     assert "make sure that the network interface (no-such) exists and is up" in lines[2]
 
 
+def test_the_publishers_of_other_nodes_are_named_until_they_leave():
+    code = f"""{OPEN}
+import os, time
+ours = opened(); theirs = opened()
+kind = "std_msgs/msg/Bool"
+own = ours.publish("/x", kind)
+def wait(count):
+    end = time.monotonic() + {HANG_S}
+    while len(ours.publishers("/x")) != count and time.monotonic() < end:
+        time.sleep(0.01)
+    return [f" {{os.getpid()}} on " in name for name in ours.publishers("/x")]
+print(wait(0))
+first = theirs.publish("/x", kind); second = theirs.publish("/x", kind); elsewhere = theirs.publish("/y", kind)
+print(wait(2))
+del first
+print(wait(1))
+theirs.close(); del second, elsewhere
+print(wait(0))
+ours.close()
+print(ours.publishers("/x"))
+"""
+    assert run(code).splitlines() == ["[]", "[True, True]", "[True]", "[]", "[]"]
+
+
 def test_one_domain_cannot_be_on_two_networks():
     told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
     assert told.startswith("DeviceError DDS domain 231 cannot be used")

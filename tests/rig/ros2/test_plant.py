@@ -1,10 +1,13 @@
 import itertools
+import os
+import re
 import sys
 import types
 
 import numpy as np
 import pytest
 
+from softfin.core.clock import REAL
 from softfin.core.errors import CommandError, ConfigurationError, DeviceError, RigError
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
@@ -312,6 +315,74 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
     )
     rig.say(0.3)
     assert rig.machine.read().complaints == ()
+
+
+@pytest.mark.parametrize("topic", ["/joint", "/wrench"])
+def test_a_second_publisher_of_readings_is_refused_and_is_a_complaint_at_once(topic):
+    rig = Rig()
+    rig.transport.publishing[topic] = ["driver", "another"]
+    words = f"{topic}: has 2 publishers (another, driver); stop all but one"
+    with pytest.raises(DeviceError, match=re.escape(words)):
+        rig.machine.open()
+    assert rig.transport.closed
+    rig.transport.publishing[topic] = ["driver"]
+    rig.machine.open()
+    assert rig.machine.read().complaints == ()
+    rig.transport.publishing[topic] = ["driver", "another"]
+    assert rig.machine.read().complaints == (words,)
+    rig.transport.publishing[topic] = []
+    assert rig.machine.read().complaints == (
+        f"{topic}: no longer has a publisher; restart its driver",
+    )
+
+
+def test_a_second_commander_is_refused_and_is_a_complaint_at_once(rig):
+    words = "/command: teleop may also command this fin; stop all but one program"
+    rig.transport.commanders = ["teleop"]
+    with pytest.raises(DeviceError, match=words):
+        rig.machine.enable()
+    assert rig.machine.read().complaints == (words,)
+    assert not rig.transport.sent
+    rig.machine.close()
+    rig.transport.deadlines.clear()
+    with pytest.raises(DeviceError, match=words):
+        rig.machine.open()
+    assert rig.transport.deadlines == {}, "the other program would notice a publisher"
+    rig.transport.commanders = []
+    rig.machine.open()
+    rig.machine.enable()
+    assert rig.machine.read().complaints == ()
+
+
+def test_one_program_commands_a_fin_and_one_program_may_command_several():
+    topic = f"/command_{os.getpid()}"
+
+    def made(**changes):
+        rig = Rig(**({"command_topic": topic} | changes))
+        rig.machine.clock = REAL
+        return rig.machine
+
+    first = made()
+    first.open()
+    with pytest.raises(
+        RigError,
+        match=rf"fin behind {topic}: in use by another program on this computer \(process "
+        rf"{os.getpid()}\); end it first",
+    ):
+        made().open()
+    others = [made(command_topic=f"{topic}_2"), made(connection={"domain": 77})]
+    for machine in others:
+        machine.open()
+    first.close()
+    second = made()
+    second.open()
+    for machine in (second, *others):
+        machine.close()
+
+
+def test_a_fin_that_cannot_be_locked_is_noted(monkeypatch, rig):
+    monkeypatch.setattr(rig.machine.device_lock, "note", "cannot be locked")
+    assert rig.machine.notes == ("in memory", "cannot be locked")
 
 
 def test_a_silent_topic_is_told_with_those_that_are_there():

@@ -27,6 +27,7 @@ class Rclpy:
         self.spinning = threading.Event()
         self.ended = threading.Event()
         self.fails = None
+        self.commanders = [("/", "teleop"), ("/", "tail")]
         names = {
             "rclpy": self._top(),
             "rclpy.executors": types.SimpleNamespace(SingleThreadedExecutor=self.executor),
@@ -105,7 +106,10 @@ class Rclpy:
         self.subscriptions[topic] = callback
 
     def get_publishers_info_by_topic(self, topic):
-        names = {"/fin/wrench": [("/", "driver"), ("/lab", "driver")]}.get(topic, [])
+        names = {
+            "/fin/wrench": [("/", "driver"), ("/lab", "driver")],
+            "/command": self.commanders,
+        }.get(topic, [])
         return [
             types.SimpleNamespace(node_namespace=namespace, node_name=name)
             for namespace, name in names
@@ -203,6 +207,14 @@ def test_a_subscriber_keeps_as_many_messages_as_asked_for_and_names_its_publishe
     assert [data for data, _ in subscriber.take()] == [b"\x02", b"\x03", b"\x04"]
     assert subscriber.publishers() == ["/driver", "/lab/driver"]
     assert transport.subscribe("/silent", WRENCH).publishers() == []
+
+
+def test_the_publishers_of_other_nodes_may_have_the_name_of_ours(rclpy, transport):
+    transport.publish("/command", JOINT)
+    assert transport.publishers("/command") == ["/teleop"]
+    rclpy.commanders += [("/", "tail")]
+    assert transport.publishers("/command") == ["/tail", "/teleop"]
+    assert transport.publishers("/silent") == []
 
 
 def test_it_closes_once_and_its_thread_ends(rclpy, transport):

@@ -23,9 +23,11 @@ def test_messages_reach_the_readers_of_their_topic_and_type_until_the_publisher_
     assert reader.take() == []
     assert [len(other.take()) for other in others] == [0, 0]
     assert len(reader.publishers()) == 1
+    assert ours.publishers("/stop") == [theirs._name]
+    assert theirs.publishers("/stop") == ours.publishers("/go") == []
     theirs.close()
     publisher.send(b"4")
     assert reader.take() == []
-    assert reader.publishers() == []
+    assert reader.publishers() == ours.publishers("/stop") == []
     theirs.close()
     ours.close()

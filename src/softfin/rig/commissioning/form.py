@@ -12,7 +12,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.rig.config import RigConfig
-from softfin.rig.device import is_address
+from softfin.rig.device import drop_address
 from softfin.storage import artifact as artifacts
 
 STEP_TITLES = {
@@ -159,7 +159,4 @@ def config_values(config: RigConfig) -> JsonObject:
 
 def _voiding_parts(rig: JsonObject) -> JsonObject:
     # A change of address does not void a step: the devices are still the same.
-    parts = {}
-    for part in VOIDING:
-        parts[part] = {name: rig[part][name] for name in rig[part] if not is_address(name)}
-    return parts
+    return {part: drop_address(rig[part]) for part in VOIDING}

@@ -93,6 +93,9 @@ class Transport(Protocol):
     def topics(self) -> dict[str, str]:
         """Return the topics published by other nodes, with their types."""
 
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the publishers of a topic in other nodes, sorted."""
+
     def close(self) -> None:
         """Close the connection; may be called repeatedly and never raises."""
 
@@ -172,9 +175,16 @@ class Subscription(Generic[Value]):
         requested."""
         return self._subscriber.mismatched()
 
-    def publishers(self) -> list[str]:
-        """Return the names of the current publishers, sorted."""
-        return sorted(self._subscriber.publishers())
+    def explain_publishers(self) -> str | None:
+        """Explain why its publishers cannot be used, ending with the fix; None if there is exactly
+        one."""
+        publishers = sorted(self._subscriber.publishers())
+        if not publishers:
+            return f"{self.topic}: no longer has a publisher; restart its driver"
+        if len(publishers) > 1:
+            names = ", ".join(publishers)
+            return f"{self.topic}: has {len(publishers)} publishers ({names}); stop all but one"
+        return None
 
     def explain_silence(self, waited_s: float) -> str:
         """Explain why there has been no usable value for `waited_s` [s], ending with the fix."""

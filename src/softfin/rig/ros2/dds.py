@@ -151,6 +151,9 @@ class DdsTransport:
                 "that this program does not use another interface for this domain"
             ) from None
         self._own: set[str] = set()
+        self._publications: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._others: dict[UUID, Any] = {}
+        """Publishers of other nodes, by their keys."""
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """Create a writer."""
@@ -208,24 +211,38 @@ class DdsTransport:
 
     def topics(self) -> dict[str, str]:
         """Return the topics published by other nodes, with their types, from DDS discovery."""
-        if self._participant is None:
-            return {}
-        found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(1000)
         topics = []
-        for publication in found:
-            # Other fields are empty if the sample is not valid.
-            if str(publication.key) in self._own or not publication.sample_info.valid_data:
-                continue
+        for publication in self._discover():
             # ROS 2 adds the prefix "rt" to topic names.
             if publication.topic_name.startswith("rt/"):
                 kind = publication.type_name.replace("::dds_::", "::").removesuffix("_")
                 topics.append((publication.topic_name[2:], kind.replace("::", "/")))
         return dict(sorted(topics))
 
+    def publishers(self, topic: str) -> list[str]:
+        """Return the processes of the publishers of a topic in other nodes, sorted."""
+        return sorted(
+            _name_participant(self._participant, publication.participant_key)
+            for publication in self._discover()
+            if publication.topic_name == f"rt{topic}"
+        )
+
+    def _discover(self) -> list[Any]:
+        """Return the present publishers of other nodes."""
+        if self._participant is None:
+            return []
+        for publication in self._publications.take(1000):
+            # Other fields are empty if the publisher has left.
+            if not publication.sample_info.valid_data:
+                self._others.pop(publication.key, None)
+            elif str(publication.key) not in self._own:
+                self._others[publication.key] = publication
+        return list(self._others.values())
+
     def close(self) -> None:
         """Release the participant; readers and writers still in use are closed with their last
         reference."""
-        self._participant = None
+        self._participant = self._publications = None
 
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:

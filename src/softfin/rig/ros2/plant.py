@@ -10,7 +10,7 @@ import importlib.util
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
+from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
 from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
@@ -176,11 +177,15 @@ class SentCommands:
         return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
 
 
+JointSubscription: TypeAlias = Subscription[tuple[float, float | None]]
+"""Subscription to angles [rad] and, unless the driver omits them, velocities [rad/s]."""
+
+
 class _Topics(NamedTuple):
     """Open topics and their transport."""
 
     transport: Transport
-    joint: Subscription[tuple[float, float | None]]
+    joint: JointSubscription
     wrench: Subscription[Wrench]
     commands: SentCommands
     stop: Publisher | None
@@ -214,6 +219,9 @@ class Ros2Machine:
         self._lock = clock.lock()
         # The loop reads, and a stop in another thread checks whether the fin still turns.
         self._reading = clock.lock()
+        topic = config.command_topic
+        domain = config.connection.domain_id()
+        self.device_lock = DeviceLock(f"fin behind {topic}", "ros2-command", domain, topic)
         self._topics: _Topics | None = None
         self._enabled = False
         self._was_enabled = False
@@ -227,8 +235,11 @@ class Ros2Machine:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the connection."""
-        return () if self._topics is None else self._topics.transport.notes
+        """Notes on the connection, and one if the command topic cannot be locked."""
+        if self._topics is None:
+            return ()
+        note = self.device_lock.note
+        return (*self._topics.transport.notes, *([] if note is None else [note]))
 
     @property
     def stop_unconfirmed(self) -> str | None:
@@ -241,7 +252,11 @@ class Ros2Machine:
         )
 
     def open(self) -> None:
-        """Wait for the first joint and wrench messages; nothing is sent."""
+        """Wait for the first joint and wrench messages; nothing is sent.
+
+        Raises RigError or DeviceError if another program commands the fin, or if a topic has
+        several publishers.
+        """
         self.close()
         self._stop_failure = None
         config = self.config
@@ -266,6 +281,7 @@ class Ros2Machine:
             )
 
         try:
+            self.device_lock.acquire(self.clock)
             # Report errors in a flipper's configuration before anything is sent.
             encode(Target(0.0, 0.0), 0.0)
             joint = subscribe(
@@ -278,6 +294,10 @@ class Ros2Machine:
                 WRENCH_STAMPED,
                 lambda message: rotated(read_wrench(message), turn),
             )
+            self._await_first(joint, wrench)
+            # Before our own publisher exists, because it would stop the program that uses the fin.
+            if problems := self._explain_publishers(transport, joint, wrench):
+                raise DeviceError(problems[0])
             kind = flipper.type if flipper else JOINT_STATE
             publisher = transport.publish(config.command_topic, kind, COMMAND_DEADLINE_S)
             commands = SentCommands(
@@ -285,7 +305,6 @@ class Ros2Machine:
             )
             stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
             self._topics = _Topics(transport, joint, wrench, commands, stop)
-            self._await_first(self._topics)
         except BaseException:
             self.close()
             transport.close()
@@ -296,7 +315,8 @@ class Ros2Machine:
         topics = self._take()
         assert self._joint is not None
         assert self._force is not None
-        complaints = [
+        complaints = self._explain_publishers(topics.transport, topics.joint, topics.wrench)
+        complaints += [
             refusal
             for refusal in (topics.joint.refusal, topics.wrench.refusal)
             if refusal is not None
@@ -328,6 +348,8 @@ class Ros2Machine:
                 f"the fin is at {angle:.3f} rad, outside {limits.angle_min:.3f} to "
                 f"{limits.angle_max:.3f} rad; move it back with its own driver"
             )
+        if problems := self._explain_publishers(topics.transport, topics.joint, topics.wrench):
+            raise DeviceError(problems[0])
         if not topics.commands.publisher.readers():
             raise DeviceError(
                 f"no subscriber on {self.config.command_topic}, so commands would be lost; "
@@ -413,6 +435,7 @@ class Ros2Machine:
             self._was_enabled = False
         if topics is not None:
             topics.transport.close()
+        self.device_lock.release()
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both topics; after `close`, the final ones."""
@@ -427,12 +450,24 @@ class Ros2Machine:
             for count in ("received", "refused", "not_newer")
         }
 
-    def _await_first(self, topics: _Topics) -> None:
+    def _explain_publishers(
+        self, transport: Transport, joint: JointSubscription, wrench: Subscription[Wrench]
+    ) -> list[str]:
+        """Return one line for each topic without exactly one publisher, ending with the fix."""
+        lines = [joint.explain_publishers(), wrench.explain_publishers()]
+        topic = self.config.command_topic
+        if others := transport.publishers(topic):
+            lines.append(
+                f"{topic}: {', '.join(others)} may also command this fin; stop all but one program"
+            )
+        return [line for line in lines if line is not None]
+
+    def _await_first(self, joint: JointSubscription, wrench: Subscription[Wrench]) -> None:
         deadline = self.clock() + self.config.wait_s
         while (self._joint is None or self._force is None) and self.clock() < deadline:
-            self._take()
+            self._process(joint, wrench)
             self.clock.sleep(0.002)
-        for awaited, value in ((topics.joint, self._joint), (topics.wrench, self._force)):
+        for awaited, value in ((joint, self._joint), (wrench, self._force)):
             if value is None:
                 raise DeviceError(awaited.explain_silence(self.config.wait_s))
 
@@ -441,8 +476,12 @@ class Ros2Machine:
         topics = self._topics
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
+        self._process(topics.joint, topics.wrench)
+        return topics
+
+    def _process(self, joint: JointSubscription, wrench: Subscription[Wrench]) -> None:
         with self._reading:
-            for at, (angle, velocity) in topics.joint.take():
+            for at, (angle, velocity) in joint.take():
                 if velocity is None:
                     # If the driver does not report a velocity, use the difference from the previous
                     # reading.
@@ -451,8 +490,7 @@ class Ros2Machine:
                 else:
                     velocity *= self._sign
                 self._joint = at, self._sign * angle, velocity
-            self._force = next(reversed(topics.wrench.take()), self._force)
-        return topics
+            self._force = next(reversed(wrench.take()), self._force)
 
     def _read_quietly(self) -> None:
         with contextlib.suppress(Exception):

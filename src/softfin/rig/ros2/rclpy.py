@@ -9,7 +9,7 @@ import contextlib
 import importlib
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import Any
 
 from softfin.core.errors import DeviceError, RigError, one_line
@@ -55,6 +55,7 @@ class RclpyTransport:
             raise RigError(
                 f"rclpy cannot be used ({one_line(error)}); use transport: dds"
             ) from None
+        self._name = f"/{config.node}"
         self._own: list[str] = []
         self.failure: str | None = None
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
@@ -96,12 +97,8 @@ class RclpyTransport:
             raw=True,
         )
 
-        def publishers() -> list[str]:
-            found = self._node.get_publishers_info_by_topic(topic)
-            return [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found]
-
         # rclpy itself warns about publishers with a lower quality of service than requested.
-        return Subscriber(take, lambda: 0, publishers)
+        return Subscriber(take, lambda: 0, lambda: self._publisher_names(topic))
 
     def topics(self) -> dict[str, str]:
         """Return topics and types as in `ros2 topic list -t`, without our own."""
@@ -112,10 +109,20 @@ class RclpyTransport:
             if self._node.count_publishers(name) > self._own.count(name)
         }
 
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the publishers of a topic in other nodes, sorted."""
+        # Another node may have the same name as ours.
+        own = Counter({self._name: self._own.count(topic)})
+        return sorted((Counter(self._publisher_names(topic)) - own).elements())
+
     def close(self) -> None:
         """Shut down the executor, which ends the thread; may be called repeatedly."""
         with contextlib.suppress(Exception):
             self._steps.close()
+
+    def _publisher_names(self, topic: str) -> list[str]:
+        found = self._node.get_publishers_info_by_topic(topic)
+        return [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found]
 
     def _spin(self) -> None:
         # Whenever the executor ends, messages end: `take` must report that.

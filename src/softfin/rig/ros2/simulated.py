@@ -67,6 +67,15 @@ class SimulatedTransport:
         others = [transport for transport in self._all if transport is not self]
         return dict(sorted(channel for transport in others for channel in transport._published))
 
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the publishers of a topic in other nodes, sorted."""
+        return sorted(
+            transport._name
+            for transport in self._all
+            for published, _ in transport._published
+            if published == topic and transport is not self
+        )
+
     def close(self) -> None:
         """Remove all publishers and subscribers; may be called repeatedly."""
         if self in self._all:

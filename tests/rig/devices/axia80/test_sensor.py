@@ -294,6 +294,13 @@ def _freeze_count(sensor):
     sensor.transmit = transmit
 
 
+def _freeze_one_channel(sensor):
+    def transmit(datagram):
+        yield datagram[:16] + (7).to_bytes(4, "big") + datagram[20:]
+
+    sensor.transmit = transmit
+
+
 def _be_busy(sensor):
     sensor.status = BUSY
 
@@ -301,8 +308,9 @@ def _be_busy(sensor):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (_freeze, "values are frozen"),
-        (_freeze_count, "values are frozen"),
+        (_freeze, "frozen (force_x, force_y, force_z, torque_x, torque_y, torque_z);"),
+        (_freeze_count, "frozen (sample counter);"),
+        (_freeze_one_channel, "frozen (force_y);"),
         (_be_busy, "busy for too long"),
     ],
 )

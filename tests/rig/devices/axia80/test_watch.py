@@ -12,7 +12,7 @@ def watched(counts, pause_s=0.0, pause_at=None):
         time = 100.0 + place / 1000
         if pause_at is not None and place >= pause_at:
             time += pause_s
-        watch.take(RdtRecord(place, count % 2**32, 0, (place, 0, 0, 0, 0, 0)), time)
+        watch.take(RdtRecord(place, count % 2**32, 0, (place,) * 6), time)
     return watch
 
 

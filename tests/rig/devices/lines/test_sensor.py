@@ -3,6 +3,7 @@
 from collections import deque
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from softfin.core.choices import LOOPBACK
@@ -142,6 +143,77 @@ def test_values_that_stand_still_are_a_fault():
         emulated.are_values_frozen = True
         run(sensor, clock, 1.2)
         assert "values are frozen" in sensor.complaints()[0]
+
+
+def with_column(index, text):
+    """Lines with another text in a column."""
+
+    def change(line):
+        columns = line.strip().split(b",")
+        columns[index] = text
+        return (b",".join(columns) + b"\r\n",)
+
+    return change
+
+
+@pytest.mark.parametrize("rate_hz", [80.0, 320.0])
+@pytest.mark.parametrize(("index", "channel"), [(1, "force_x"), (2, "force_y")])
+@pytest.mark.parametrize("text", [b"1.234567", b"16.777214", b"0.000000", b"-0"])
+def test_one_column_that_stands_still_is_a_fault_within_a_second(rate_hz, index, channel, text):
+    with bench(rate_hz) as (emulated, sensor, clock):
+        sensor.open()
+        run(sensor, clock, 0.5)
+        emulated.transmit = with_column(index, text)
+        run(sensor, clock, 0.85)
+        assert sensor.complaints() == ()
+        run(sensor, clock, 0.15)
+        assert f"values are frozen ({channel}); check the sensor" in sensor.complaints()[0]
+        emulated.transmit = lambda line: (line,)
+        run(sensor, clock, 0.05)
+        assert sensor.complaints() == ()
+
+
+def test_a_slow_sensor_needs_twenty_equal_lines():
+    with bench(10.0) as (emulated, sensor, clock):
+        sensor.open()
+        run(sensor, clock, 1.0)
+        emulated.transmit = with_column(1, b"1.234567")
+        run(sensor, clock, 1.8)
+        assert sensor.complaints() == ()
+        run(sensor, clock, 0.3)
+        assert "values are frozen (force_x)" in sensor.complaints()[0]
+
+
+@pytest.mark.parametrize(("text", "is_measured"), [(b"0.5", True), (b"0.0", False)])
+def test_a_column_that_was_dead_from_the_start_is_a_fault_unless_it_may_not_be_measured(
+    text, is_measured
+):
+    columns = ("count", "force_x", "force_y", "torque_z")
+    with bench(columns=columns) as (emulated, sensor, clock):
+        emulated.transmit = lambda line: (line.strip() + b"," + text + b"\r\n",)
+        sensor.open()
+        run(sensor, clock, 1.0)
+        complaints = sensor.complaints()
+        assert ["values are frozen (torque_z)" in line for line in complaints] == [
+            True
+        ] * is_measured
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 80.0])
+def test_noise_of_one_count_is_no_fault(rate_hz):
+    noise = np.random.default_rng(0)
+    with bench(rate_hz) as (emulated, sensor, clock):
+
+        def transmit(line):
+            count = line.split(b",")[0].decode()
+            x, y = np.rint(noise.normal(0.0, 1.0, 2)) * 0.01
+            return (f"{count},{x:.2f},{y:.2f}\r\n".encode(),)
+
+        emulated.transmit = transmit
+        sensor.open()
+        for _ in range(round(6000 / rate_hz)):
+            run(sensor, clock, 0.1)
+            assert not any("frozen" in line for line in sensor.complaints())
 
 
 def test_a_pause_of_the_loop_does_not_make_old_lines_look_new():

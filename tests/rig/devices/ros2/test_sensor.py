@@ -286,6 +286,52 @@ def test_values_that_stand_still_are_a_fault():
         assert "values are frozen" in sensor.complaints()[0]
 
 
+def with_channel(index, value):
+    """Messages with another value of a channel."""
+
+    def change(message):
+        wrench = list(message.wrench)
+        wrench[index] = value
+        return (message._replace(wrench=tuple(wrench)),)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("index", "channel"), [(0, "force_x"), (1, "force_y"), (2, "force_z"), (5, "torque_z")]
+)
+@pytest.mark.parametrize("value", [1.25, 1000.0, 0.0])
+def test_one_channel_that_stands_still_is_a_fault_within_a_second(index, channel, value):
+    with bench() as (emulated, sensor, clock):
+        sensor.open()
+        run(sensor, clock, 0.5)
+        emulated.transmit = with_channel(index, value)
+        run(sensor, clock, 0.85)
+        assert sensor.complaints() == ()
+        run(sensor, clock, 0.15)
+        assert f"values are frozen ({channel}); check the sensor" in sensor.complaints()[0]
+
+
+@pytest.mark.parametrize(
+    ("dead", "words"), [(range(2, 6), None), (range(1, 6), "frozen (force_y);")]
+)
+def test_channels_that_a_driver_never_measured_are_no_fault_but_for_the_forces(dead, words):
+    with bench() as (emulated, sensor, clock):
+
+        def transmit(message):
+            wrench = tuple(
+                0.0 if index in dead else value for index, value in enumerate(message.wrench)
+            )
+            return (message._replace(wrench=wrench),)
+
+        emulated.transmit = transmit
+        sensor.open()
+        run(sensor, clock, 2.0)
+        complaints = sensor.complaints()
+        assert bool(complaints) == (words is not None)
+        assert words is None or words in complaints[0]
+
+
 def test_a_pause_of_the_loop_does_not_make_old_messages_look_new():
     with bench() as (emulated, sensor, clock):
         sensor.open()

@@ -5,11 +5,17 @@ Without I/O: records in, messages out. Each record contains the sensor's sample 
 (`ft_sequence`), which is reset only by a power cycle.
 """
 
+import numpy as np
+
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtRecord, wrapped_step
+from softfin.rig.frozen import FrozenChannels
+from softfin.rig.machine import WRENCH_CHANNELS
 
 FROZEN_S = 0.1
-"""Time for which all six channels may stay constant, or the sensor may be busy [s]. The noise of an
-Axia80 is thousands of counts (not verified), so even two equal consecutive records are rare."""
+"""Time for which a channel may stay constant, or the sensor may be busy [s]. The noise of an Axia80
+is thousands of counts (not verified), so even two equal consecutive records are rare."""
+
+SAMPLE_COUNTER = "sample counter"
 
 REORDERED_SAMPLES = 4096
 """Number of samples by which the counter may go back without a restart: half a second at 8 kHz."""
@@ -35,8 +41,9 @@ class StreamWatch:
     def __init__(self, rate_hz: float) -> None:
         self.has_restarted = False
         """Whether the sensor has restarted since the stream was opened."""
-        self._stuck_records = round(FROZEN_S * rate_hz)
-        self._equal_counts = self._equal_samples = self._busy = 0
+        self._busy_records = round(FROZEN_S * rate_hz)
+        self._busy = 0
+        self._frozen = FrozenChannels((*WRENCH_CHANNELS, SAMPLE_COUNTER), self._busy_records)
         self._began = 0.0
         """Arrival time of the first record [s]."""
         self._samples = 0
@@ -57,11 +64,12 @@ class StreamWatch:
     @property
     def is_busy(self) -> bool:
         """Whether the sensor has been busy for too long."""
-        return self._busy > self._stuck_records
+        return self._busy > self._busy_records
 
     def take(self, record: RdtRecord, time: float) -> None:
         """Process a record that arrived at `time` [s]; it must be newer than those before."""
         self._busy = self._busy + 1 if record.status >> BUSY_BIT & 1 else 0
+        self._frozen.put(np.array((*record.counts, record.ft_sequence)))
         if self._newest is None:
             self._began = time
             self._newest = record, time
@@ -72,8 +80,6 @@ class StreamWatch:
             self.has_restarted = True
         self._newest = record, time
         self._samples += samples
-        self._equal_samples = self._equal_samples + 1 if samples == 0 else 0
-        self._equal_counts = self._equal_counts + 1 if record.counts == before.counts else 0
 
     def _fits(self, samples: int, elapsed_s: float) -> bool:
         """Return whether the counter advanced by the number of samples expected for the elapsed
@@ -103,11 +109,12 @@ class StreamWatch:
             lines.append(
                 "restarted, so its zero is lost; let the fin rest and run: softfin rig zero --force"
             )
-        if max(self._equal_counts, self._equal_samples) >= self._stuck_records:
+        if names := self._frozen.names():
             # Records still arrive, but the force limits and the controller would use a frozen
             # value.
             lines.append(
-                "values are frozen; switch it off and on, then run: softfin rig zero --force"
+                f"values are frozen ({', '.join(names)}); switch it off and on, then run: softfin "
+                "rig zero --force"
             )
         if self.is_busy:
             lines.append(

@@ -4,10 +4,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from softfin.rig.machine import WRENCH_CHANNELS
 from softfin.rig.streamed_sensor import StreamedSensorConfig
-
-WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
-"""Columns with the wrench, in the order of a wrench."""
 
 COUNTERS = {"count": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
 """Columns that number the lines: a counter of lines, or the time since power-up, with its unit

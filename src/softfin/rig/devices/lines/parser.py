@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesConfig
+from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.loss_estimate import LossEstimate
+from softfin.rig.machine import WRENCH_CHANNELS
 from softfin.rig.stream_clock import ShortestDelay
 
 REORDERED_LINES = 64

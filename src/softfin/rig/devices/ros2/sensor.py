@@ -142,13 +142,9 @@ class TopicSource:
     def complaints(self) -> list[str]:
         """Return the faults of the publishers and of the messages."""
         messages = self._open_messages()
-        publishers = messages.publishers()
         lines = []
-        if not publishers:
-            lines.append("no longer has a publisher; restart its driver")
-        if len(publishers) > 1:
-            names = ", ".join(publishers)
-            lines.append(f"has {len(publishers)} publishers ({names}); stop all but one")
+        if problem := messages.explain_publishers():
+            lines.append(self._without_topic(problem))
         if self._unusable_in_a_row >= MALFORMED_RECORDS:
             lines.append(
                 self._without_topic(messages.refusal or "")
