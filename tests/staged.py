@@ -31,9 +31,9 @@ from tests.data import bags
 from tests.data.faulty import to_columns
 from tests.data.recorded import record
 from tests.documents import ROOT
+from tests.examples.test_import_keras import SCALERS, WINDOW, lstm_layer, write_keras
 from tests.gaits.test_map_store import KNOWN
 from tests.surrogate import small as paper
-from tests.surrogate.paper.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 from tests.surrogate.streaming import small as streaming
 
 PLANT = "tests.plants:AnalyticFin"

@@ -20,6 +20,8 @@ import yaml
 from PIL import Image
 from results.__main__ import make_parser
 from results.parts import PARTS
+from softfin.evaluation.baselines.baselines import BaselinesConfig
+from softfin.surrogate.compare.compare import CompareConfig
 
 import softfin
 from softfin import cli
@@ -28,7 +30,6 @@ from softfin.cli.options import list_fields
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
-from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
@@ -39,7 +40,6 @@ from softfin.robot.evaluate import RobotEvaluateConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.compare.compare import CompareConfig
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
 from tests.documents import (
     CELL,
