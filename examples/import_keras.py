@@ -2,8 +2,8 @@
 
     python examples/import_keras.py POSNET.keras FORCENET.keras --scalers scalers.json --out published
 
-A ``.keras`` file is a zip archive with the layers as JSON and the weights as HDF5, which needs
-`pip install h5py`. The scalers are read from a JSON file, ``{channel: {scale, offset, data_min,
+A ``.keras`` file is a zip archive with the layers as JSON and the weights as HDF5, which are read
+with the package h5py. The scalers are read from a JSON file, ``{channel: {scale, offset, data_min,
 data_max}}``. Pickled scalers are not read, because loading a pickle can execute code.
 """
 

@@ -1,1 +1,1 @@
-"""Measurements of softfin's own parts for README, docs and ``results/``: ``python -m studies.NAME``."""
+"""Measurements of softfin's own parts for README, docs and `results`."""

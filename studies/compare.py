@@ -240,9 +240,9 @@ def main() -> None:
     parser.add_argument("--noise-floor")
     parser.add_argument("--seed", type=int, default=0)
     words = parser.parse_args()
+    logs = load_test_logs(words.dataset)
     surrogates = {folder.name: load_surrogate(folder) for folder in words.surrogates}
     floor = None if words.noise_floor is None else find_plant(words.noise_floor)
-    logs = load_test_logs(words.dataset)
     comparison = compare(surrogates, logs, sorted(words.horizons), floor, words.seed)
     summary: dict[str, Any] = {"horizons_s": comparison.horizons_s, "surrogates": []}
     for candidate in comparison.candidates:

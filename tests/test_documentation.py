@@ -20,8 +20,6 @@ import yaml
 from PIL import Image
 from results.__main__ import make_parser
 from results.parts import PARTS
-from softfin.evaluation.baselines.baselines import BaselinesConfig
-from softfin.surrogate.compare.compare import CompareConfig
 
 import softfin
 from softfin import cli
@@ -60,14 +58,12 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "collect": (CollectConfig(),),
     "fit": (StreamingConfig(), FitConfig()),
     "calibrate": tuple(CALIBRATIONS.values()),
-    "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot view": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
-    "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),
     "ros2": (NodeConfig(),),
     "demo": (PRESETS["demo"],),
@@ -284,10 +280,12 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
         arguments = make_parser().parse_args(words[1:])
         assert {name.partition("/")[0] for name in arguments.parts} <= set(PARTS)
         return
-    if program == "-m":
+    if program == "-m" and words[0] == "benchmarks":
         package, *names = words
         assert all((ROOT / package / f"{name}.py").is_file() for name in ("__main__", *names))
         return
+    if program == "-m":
+        program = f"{words.pop(0).replace('.', '/')}.py"
     script = ROOT / program
     # A script without options does its work at once, so what it reads is there.
     monkeypatch.chdir(tmp_path)
@@ -306,14 +304,16 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
 
 
 def stop_at_work(monkeypatch):
-    """Where a script that has understood its words begins: with a recording, a dataset, or a
-    program."""
+    """Where a script that has understood its words begins: with a recording, a dataset, a plant, a
+    file, or a program."""
 
     def work(*words, **options):
         raise Parsed
 
     monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
+    monkeypatch.setattr("softfin.storage.registry.find_plant", work)
+    monkeypatch.setattr(Path, "read_bytes", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 
