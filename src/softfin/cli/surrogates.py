@@ -48,11 +48,12 @@ class FitArguments(LogOptions, Configured):
         super().check()
 
     def __call__(self) -> None:
+        # Before the imports below, which take seconds, because the name may be unknown.
+        config = self.configured(find_architecture(self.model).config())
         from softfin.cli.tables import format_table_one
         from softfin.core.action_clock import ActionClock
         from softfin.stages.surrogates import fit
 
-        config = self.configured(find_architecture(self.model).config())
         with progress() as report:
             result = fit(
                 self.dataset,
