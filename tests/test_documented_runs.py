@@ -82,6 +82,7 @@ ELSEWHERE = {
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
     "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
+    "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig commission --arm": "tests/rig/test_commissioning.py",
