@@ -13,13 +13,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from examples.import_keras import read_keras_surrogate
+
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train
-from softfin.stages.surrogates import import_keras
 from softfin.storage.run_directory import LOG, RunDirectory, read_training_log
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
@@ -81,13 +82,9 @@ def published() -> Surrogate | None:
     if folder is None:
         return None
     nets = Path(folder)
-    with tempfile.TemporaryDirectory() as out:
-        return import_keras(
-            nets / "cnn_pos_net.keras",
-            nets / "lstm_force_net.keras",
-            nets / "scalers.json",
-            Path(out) / "published",
-        )
+    return read_keras_surrogate(
+        nets / "cnn_pos_net.keras", nets / "lstm_force_net.keras", nets / "scalers.json"
+    )
 
 
 def main() -> list[dict[str, Any]]:

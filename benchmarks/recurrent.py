@@ -19,8 +19,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
 from softfin.core.quantities import Limits, action_to_command
-from softfin.evaluation.baselines.baselines import BaselinesConfig
-from softfin.evaluation.evaluate import Evaluation, ExperimentsConfig, score_experiments
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording, RecordedTicks
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.installation import how_to_add
@@ -43,7 +42,7 @@ def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, refer
 
 
 def run_recurrent(
-    model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: ExperimentsConfig
+    model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: EvaluateConfig
 ) -> ExperimentRecording:
     """Run the experiments of `config` with the model's mean actions, in the units of the `limits`
     that it learnt in."""
@@ -98,10 +97,10 @@ def run_recurrent(
     )
 
 
-def evaluate_recurrent(plant: Plant, config: BaselinesConfig, steps: int) -> Evaluation:
+def evaluate_recurrent(plant: Plant, config: EvaluateConfig, steps: int) -> Evaluation:
     """Train RecurrentPPO for all references of `config` in a plant, and evaluate it there."""
     task = TaskConfig()
     box = bounding_box([Cell.around(reference, 0.0) for reference in config.references])
     model = train_recurrent(plant, steps, config.seed, task, box)
     recording = run_recurrent(model, task, Limits(*plant.limits), plant, config)
-    return score_experiments(recording, plant, config.experiments)
+    return score_experiments(recording, plant, config)

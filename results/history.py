@@ -17,8 +17,7 @@ STEP_INPUTS = (
     "benchmarks",
     "examples",
     "results/scripts.py",
-    "studies/ablation.py",
-    "studies/data_efficiency.py",
+    "studies",
     "docs/calibration.yaml",
 )
 """Files that decide what a step computes, besides its command."""

@@ -2,7 +2,6 @@
 folder."""
 
 import json
-import runpy
 import shutil
 import sys
 from pathlib import Path
@@ -54,25 +53,27 @@ def tank_r2(published: str, out: str, *seeds: str) -> None:
 
 
 def efficiency(out: str, *runs: str) -> None:
-    """Gather the seeds of ``studies/data_efficiency.py``, a run each, and draw its figure."""
-    script = runpy.run_path(str(ROOT / "studies" / "data_efficiency.py"))
+    """Gather the seeds of ``studies.data_efficiency``, a run each, and draw its figure."""
+    from studies.data_efficiency import draw, gathered
+
     for run in runs:
         shutil.copytree(Path(run) / "scores", Path(out) / "scores", dirs_exist_ok=True)
-    script["draw"](script["gathered"](Path(out)), Path(out) / "data_efficiency.png")
+    draw(gathered(Path(out)), Path(out) / "data_efficiency.png")
 
 
 def recurrent(plant: str, out: str, seed: str, steps: str = "30000", seconds: str = "30") -> None:
     """Write baselines.json with the scores of RecurrentPPO, trained and evaluated in a plant."""
     from benchmarks.recurrent import evaluate_recurrent
 
-    from softfin.evaluation.baselines.baselines import BaselinesConfig, write_baselines
+    from softfin.evaluation.evaluate import EvaluateConfig
+    from softfin.gaits.reachable import PAPER_REFERENCES
     from softfin.storage.registry import find_plant
 
-    config = BaselinesConfig(seed=int(seed), seconds=int(seconds))
+    config = EvaluateConfig(references=PAPER_REFERENCES, seed=int(seed), seconds=int(seconds))
     evaluation = evaluate_recurrent(find_plant(plant), config, int(steps))
-    write_baselines(
-        {"baselines": {"recurrent_ppo": evaluation.summary()}, "left_out": {}}, Path(out)
-    )
+    Path(out).mkdir()
+    scores = {"recurrent_ppo": evaluation.summary()}
+    (Path(out) / "baselines.json").write_text(json.dumps(scores))
 
 
 if __name__ == "__main__":

@@ -25,9 +25,9 @@ from results.record import machine, versions
 
 RESUMED = {
     **dict.fromkeys(("fit", "train", "calibrate", "reproduce"), ("--resume",)),
-    **dict.fromkeys(("studies/ablation.py", "studies/data_efficiency.py"), ()),
+    **dict.fromkeys(("studies.ablation", "studies.data_efficiency"), ()),
 }
-"""Commands that can continue after a stop, and the option for it."""
+"""Commands and modules that can continue after a stop, and the option for it."""
 
 
 class Step(NamedTuple):
@@ -42,6 +42,11 @@ class Step(NamedTuple):
     """Options added at the tiny scale, which shows only that everything works."""
     extra: str | None = None
     """Module of an optional dependency that the step needs."""
+
+    @property
+    def program(self) -> str:
+        """Command of softfin, or the module or script that runs."""
+        return self.words[2] if self.words[1] == "-m" else self.words[1]
 
     @property
     def command(self) -> str:
@@ -142,7 +147,7 @@ class Runner:
         # A checkpoint of other code, or of uncommitted code, which may have changed since, is not
         # continued.
         continues = (
-            each.words[1] in RESUMED
+            each.program in RESUMED
             and not has_changes
             and start_file.is_file()
             and start_file.read_text() == start
@@ -157,7 +162,7 @@ class Runner:
         if self.tiny:
             words += each.tiny
         if continues:
-            words += RESUMED[each.words[1]]
+            words += RESUMED[each.program]
         measured = self._run_measured(each, words)
         record = {
             "command": each.command,

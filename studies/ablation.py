@@ -1,7 +1,7 @@
 """What each part of the streaming surrogates is worth: the same fit with one thing changed at a
 time.
 
-    python studies/ablation.py RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
+    python -m studies.ablation RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
 
 Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and
 writes ablation.json. Each variant keeps its folder in RUN, so a stopped run goes on where it was.
@@ -21,13 +21,13 @@ from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
-from softfin.stages.surrogates import compare, fit
+from softfin.stages.surrogates import fit
 from softfin.storage.dataset import Dataset, write_dataset
-from softfin.surrogate import StreamingConfig
-from softfin.surrogate.compare.compare import CompareConfig
+from softfin.surrogate import StreamingConfig, load_surrogate
 from softfin.surrogate.streaming import ensemble
 from softfin.surrogate.streaming.nets import ForceNet, ForceState
 from softfin.surrogate.streaming.segments import Motion
+from studies.compare import compare, load_test_logs
 
 WITHOUT_QUASI_STEADY = "without the quasi-steady force"
 
@@ -117,20 +117,15 @@ def main() -> None:
                 )
             except SoftfinError as error:
                 raise SystemExit(f"{error}") from None
-        found = compare([folder], data, config=CompareConfig(horizons_s=(words.horizon,)))[
-            "groups"
-        ][0]
-        row = {
-            key: value["mean"]
-            for key, value in found["horizons"][0].items()
-            if isinstance(value, dict)
-        }
-        written[name] = row | {"flops_per_tick": found["flops_per_tick"]}
+        surrogate = load_surrogate(folder)
+        compared = compare({name: surrogate}, load_test_logs(data), (words.horizon,))
+        row = compared.candidates[0].horizons[0]
+        written[name] = row | {"flops_per_tick": surrogate.flops_per_tick()}
         print(
             f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, "
             f"{row['force_y_rmse_n']:.3f} | "
             f"{row['mean_force_mae_n']:.3f}, {row['mean_force_p95_n']:.3f} | "
-            f"{found['flops_per_tick']:,} |",
+            f"{surrogate.flops_per_tick():,} |",
             flush=True,
         )
     (words.out / "ablation.json").write_text(json.dumps(written))

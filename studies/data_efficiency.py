@@ -1,7 +1,7 @@
 """How long to record: free-running error against minutes of tank time.
 
-    python studies/data_efficiency.py RUN                                            # all of it: hours on two cores
-    python studies/data_efficiency.py RUN --minutes 2,5,10 --set members=3 --set force_updates=800
+    python -m studies.data_efficiency RUN                                            # all of it: hours on two cores
+    python -m studies.data_efficiency RUN --minutes 2,5,10 --set members=3 --set force_updates=800
 
 Every recording, fit and score has a place of its own under RUN and is left out where it is there
 already: the same command goes on after a stop, and sizes, seeds and models can be added one after
@@ -24,7 +24,6 @@ from softfin.cli.options import HelpRequested, Option, format_help, parse
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import named_key
-from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
 from softfin.stages.surrogates import fit
@@ -32,15 +31,8 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
-from softfin.surrogate.compare.scores import (
-    free_run,
-    measured_ranges,
-    plan_segments,
-    run_from_rest,
-    score_segments,
-    take,
-)
 from softfin.tank import SensorConfig, Tank, TankConfig
+from studies.free_runs import free_run, plan_segments, run_from_rest, score_segments, take
 
 MINUTE = 60 * RATE_HZ
 """Rows of a log to learn from."""
@@ -200,11 +192,10 @@ def test_logs(options: Options, name: str) -> list[Log]:
 def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
     """Left alone for 30 s, again and again."""
     where = stretches(logs)
-    predicted, members = free_run(surrogate, logs, where, HORIZON)
-    measured = take(logs, where, HORIZON)
-    widths = None if members is None else surrogate.interval.half_width(moving_average(members))
-    found = score_segments(measured, predicted, measured_ranges(logs), widths).scores
-    return found | offset_free(predicted, measured.reading)
+    run = free_run(surrogate, logs, where, HORIZON)
+    measured = take(logs, where, HORIZON).reading
+    scores = score_segments(measured, run.reading, run.half_widths)
+    return scores | offset_free(run.reading, measured)
 
 
 def offset_free(predicted: Reading, measured: Reading) -> dict[str, float]:
@@ -231,10 +222,7 @@ def floor(run: Path, tests: dict[str, list[Log]]) -> None:
             measured, second = (
                 take(some, where, HORIZON).reading for some in (logs, again(plant, logs))
             )
-            scores = score_segments(
-                take(logs, where, HORIZON), second, measured_ranges(logs)
-            ).scores
-            found[name] = scores | offset_free(second, measured)
+            found[name] = score_segments(measured, second) | offset_free(second, measured)
         artifacts.write_file(path, artifacts.dump_json(found))
 
 

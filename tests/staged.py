@@ -5,7 +5,6 @@ Nothing is recorded, learnt or searched for: what is asked of them is to be ther
 """
 
 import csv
-import json
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -33,7 +32,6 @@ from tests.data.recorded import record
 from tests.documents import ROOT
 from tests.gaits.test_map_store import KNOWN
 from tests.surrogate import small as paper
-from tests.surrogate.paper.test_keras import SCALERS, WINDOW, lstm_layer, write_keras
 from tests.surrogate.streaming import small as streaming
 
 PLANT = "tests.plants:AnalyticFin"
@@ -95,7 +93,6 @@ CALIBRATE = {
     "test_segments": 4,
     "segment_s": 1,
     "warm_up_s": 0.2,
-    "block_s": 0.04,
     "iterations": 1,
     "tank": COARSE,
 }
@@ -109,16 +106,6 @@ CONFIGURATIONS = MappingProxyType(
         # The parameters of the document, so that one program calibrates in both.
         "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
         "tank.yaml": COARSE,
-        "baselines.yaml": {
-            "search": {
-                "seconds": 3,
-                "centres": 3,
-                "amplitudes": 2,
-                "frequencies_hz": [1],
-                "refinements": 0,
-                "gaits": 4,
-            }
-        },
     }
 )
 """Files for --config that make each stage as small as it can be."""
@@ -127,6 +114,8 @@ CONFIGURATIONS = MappingProxyType(
 @pytest.fixture
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a search finds is tested with it; here it only has to go through."""
+    for module in ("config", "calibrate"):
+        monkeypatch.setattr(f"softfin.tank.calibration.{module}.BLOCK_S", 0.04)
     monkeypatch.setattr(profile, "GENERATIONS", 2)
     monkeypatch.setattr(profile, "SEGMENTS", 4)
 
@@ -215,42 +204,6 @@ def mcap(path: Path) -> None:
     record(path, rows=ROWS)
 
 
-def keras_posnet(path: Path) -> None:
-    """As the authors' file, but smaller."""
-    random = np.random.default_rng(0)
-    conv = {
-        "filters": 2,
-        "kernel_size": [3],
-        "padding": "same",
-        "strides": [1],
-        "activation": "relu",
-    }
-    layers = [("Conv1D", conv), ("Flatten", {}), ("Dense", {"units": 1, "activation": "linear"})]
-    shapes = {"conv1d": ((3, WINDOW, 2), (2,)), "dense": ((4, 1), (1,))}
-    weights = {
-        name: [random.normal(size=shape).astype(np.float32) for shape in some]
-        for name, some in shapes.items()
-    }
-    write_keras(path, layers, 2, weights)
-
-
-def keras_forcenet(path: Path) -> None:
-    """Likewise."""
-    random = np.random.default_rng(1)
-    layers = [lstm_layer(3, False), ("Dense", {"units": 2, "activation": "linear"})]
-    shapes = {"lstm/cell": ((WINDOW, 12), (3, 12), (12,)), "dense": ((3, 2), (2,))}
-    weights = {
-        name: [random.normal(size=shape).astype(np.float32) for shape in some]
-        for name, some in shapes.items()
-    }
-    write_keras(path, layers, 3, weights)
-
-
-def scalers(path: Path) -> None:
-    """Of both."""
-    path.write_text(json.dumps(SCALERS))
-
-
 def surrogate(path: Path) -> None:
     """Streaming networks."""
     fitted = streaming.surrogate()
@@ -308,9 +261,6 @@ MAKERS = MappingProxyType(
         "run1": bag,
         "run.mcap": mcap,
         "dataset-bags/train-0000.mcap": mcap,
-        "cnn_pos_net.keras": keras_posnet,
-        "lstm_force_net.keras": keras_forcenet,
-        "scalers.json": scalers,
         "surrogate": surrogate,
         "other": surrogate,
         "first": surrogate,

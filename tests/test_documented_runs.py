@@ -35,7 +35,6 @@ TINY = {
     "collect --plant tank": "--plant tank.yaml",
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
-    "compare": f"--horizons 1 --noise-floor {staged.PLANT}",
     "calibrate": "--config calibrate.yaml --evaluations 0",
     "calibrate --config": "--config docs/calibration.yaml "
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
@@ -47,7 +46,6 @@ TINY = {
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
     "evaluate --random": "--random 4",
-    "baselines": f"--config baselines.yaml --seconds 3 --repeats 1 --plant {staged.PLANT}",
     "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -84,6 +82,7 @@ ELSEWHERE = {
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
     "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
+    "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig commission --arm": "tests/rig/test_commissioning.py",

@@ -16,7 +16,7 @@ from results.parts.common import Work
 from results.steps import Runner, step
 
 from tests.documents import ROOT
-from tests.test_documentation import understood
+from tests.test_documentation import reaches_work, understood
 
 STEPS = {each.name: each for part in parts((0,)).values() for each in part.steps}
 FILES = sorted((ROOT / "results").glob("*.json"))
@@ -121,6 +121,10 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
         assert each.words[-2:] == ("--out", name)
         understood(each.words[1:], monkeypatch)
         understood((*each.words[1:], *each.tiny), monkeypatch)
+    elif each.program.startswith("studies."):
+        script = ROOT / f"{each.program.replace('.', '/')}.py"
+        for words in (each.words[3:], (*each.words[3:], *each.tiny)):
+            assert reaches_work(script, words, monkeypatch)
     elif each.words[1] == "-m":
         assert each.words[2] == "results.scripts" or each.words[3] in BENCHMARKS
     else:

@@ -3,8 +3,12 @@ out.
 
     command ──> GRU ──> linear layer ──> angle, force
 
-The package adds itself to softfin with the entry point in ``pyproject.toml``. It is an example of
-how to add an architecture, and a baseline: it contains no knowledge about drives, fins or water.
+softfin finds it by its name, in the folder of this file or after it is installed:
+
+    softfin fit recordings --model softfin_gru:ARCHITECTURE --out surrogate
+
+It is an example of an architecture of your own, and a baseline: it contains no knowledge about
+drives, fins or water.
 """
 
 from collections.abc import Sequence
@@ -18,7 +22,6 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
-from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
@@ -35,7 +38,7 @@ from softfin.core.quantities import (
 )
 from softfin.core.randomness import named_key
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate import Architecture, TableOneRow
+from softfin.surrogate import Architecture, SurrogateConfig
 from softfin.surrogate.channels import (
     ANGLE,
     COMMAND_COLUMNS,
@@ -56,8 +59,14 @@ from softfin.surrogate.training import (
 OUTPUTS = (ANGLE, *FORCES)
 
 
-class GruConfig(Configuration):
+NAME = "softfin_gru:ARCHITECTURE"
+"""Name of the architecture for softfin."""
+
+
+class GruConfig(SurrogateConfig):
     """Configuration of the fit of a GRU."""
+
+    model: ClassVar[str] = NAME
 
     units: PositiveInt = 64
     """Size of the memory."""
@@ -119,7 +128,7 @@ class GruState(NamedTuple):
 class GruSurrogate(eqx.Module):
     """A GRU as a plant; implements `softfin.surrogate.SurrogatePlant`."""
 
-    model: ClassVar[str] = "gru"
+    model: ClassVar[str] = NAME
     memory: ClassVar[int] = 300
     net: GruNet
     scaling: Scaling = eqx.field(static=True)
@@ -177,8 +186,10 @@ class GruSurrogate(eqx.Module):
             forces.append(values[:, 1:])
         count = self.parameters()
         return {
-            "gru_angle": NetPrediction((ANGLE,), angles, None, count),
-            "gru_force": NetPrediction(FORCES, forces, None, count),
+            "gru_angle": NetPrediction(
+                "GRU, commands to angle", (ANGLE,), angles, None, count, "posnet"
+            ),
+            "gru_force": NetPrediction("GRU, commands to force", FORCES, forces, None, count),
         }
 
     def flops_per_tick(self) -> int:
@@ -323,12 +334,4 @@ class GruLearner:
         return state._replace(nets=net, optimiser=optimiser), losses.mean()
 
 
-ARCHITECTURE = Architecture(
-    config=GruConfig,
-    fit=fit_gru,
-    load=load_gru,
-    table_one={
-        "gru_angle": TableOneRow("GRU, commands to angle", "rad", "posnet"),
-        "gru_force": TableOneRow("GRU, commands to force", "N"),
-    },
-)
+ARCHITECTURE = Architecture(config=GruConfig, fit=fit_gru, load=load_gru)

@@ -91,8 +91,9 @@ def step_times(
 
 PUBLISHED = step(
     "published",
-    "softfin import-keras $SOFTFIN_PUBLISHED/cnn_pos_net.keras "
-    "$SOFTFIN_PUBLISHED/lstm_force_net.keras --scalers $SOFTFIN_PUBLISHED/scalers.json",
+    "python examples/import_keras.py $SOFTFIN_PUBLISHED/cnn_pos_net.keras "
+    "$SOFTFIN_PUBLISHED/lstm_force_net.keras --scalers $SOFTFIN_PUBLISHED/scalers.json "
+    "--out published",
     0.2,
 )
 

@@ -202,26 +202,20 @@ def baselines_tank(seeds: Sequence[int]) -> Part:
 
 
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
-    tiny = (
-        "--seconds 6 --repeats 1 --set search.gaits=8 --set search.kept=1 "
-        "--set search.refinements=0"
-    )
-    command = f"softfin baselines {options} --seed"
-    steps = [
-        step(
-            f"baselines-{plant}-{seed}",
-            f"{command.format(seed)} {evaluation_seed(seed)}",
-            2,
-            seed,
-            tiny,
+    tiny = "--seconds 6 --repeats 1 --gaits 8 --refinements 0"
+    steps = []
+    for seed in seeds:
+        name = f"baselines-{plant}-{seed}"
+        command = (
+            f"python -m studies.baselines {options.format(seed)} --seed {evaluation_seed(seed)} "
+            f"--out {name}"
         )
-        for seed in seeds
-    ]
+        steps.append(step(name, command, 2, seed, tiny))
     return Part(f"Baselines, {plant}", (*before, *steps), lambda work: _means(work, plant, seeds))
 
 
 def _means(work: Work, plant: str, seeds: Sequence[int]) -> Figures:
-    found = [work.json(f"baselines-{plant}-{seed}/baselines.json")["baselines"] for seed in seeds]
+    found = [work.json(f"baselines-{plant}-{seed}/baselines.json") for seed in seeds]
     return {
         name: figure(
             "N", [pair(row[name]["mean"]) if name in row else None for row in found], seeds

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 from results.parts.common import (
     PUBLISHED,
@@ -37,12 +36,11 @@ def surrogates(seeds: Sequence[int]) -> Part:
         "streaming": [streaming(seed) for seed in seeds],
         "paper": [paper(seed) for seed in seeds],
     }
-    floor = "--noise-floor tank"
     compared = [
         step(
             f"compare-{name}-{seed}",
-            f"softfin compare streaming-{seed} paper-{seed} --dataset {logs}-{seed} {floor} "
-            f"--seed {seed}{horizons}",
+            f"python -m studies.compare streaming-{seed} paper-{seed} --dataset {logs}-{seed} "
+            f"--noise-floor tank --seed {seed}{horizons} --out compare-{name}-{seed}",
             1,
             seed,
             "--horizons 2",
@@ -56,14 +54,14 @@ def surrogates(seeds: Sequence[int]) -> Part:
         for name in sets:
             found = [work.json(f"compare-{name}-{seed}/comparison.json") for seed in seeds]
             for index, model in enumerate((*fits, "again")):
-                groups = [[*each["groups"], each["noise_floor"]][index] for each in found]
-                rows = [_means(group["horizons"][-1]) for group in groups]
+                scored = [[*each["surrogates"], each["noise_floor"]][index] for each in found]
+                rows = [each["horizons"][-1] for each in scored]
                 for key, (unit, factor, scores) in ERRORS.items():
                     if scores[0] in rows[0]:
                         values = scores_of(rows, *scores, factor=factor)
                         figures[f"{model}.{name}.{key}"] = figure(unit, values, seeds)
                 if model in fits:
-                    flops = [group["flops_per_tick"] for group in groups]
+                    flops = [each["flops_per_tick"] for each in scored]
                     figures[f"{model}.flops"] = figure("FLOPs a tick", flops, seeds)
         for model, steps in fits.items():
             for key, kind in (
@@ -84,13 +82,9 @@ def surrogates(seeds: Sequence[int]) -> Part:
     return Part("Surrogates, free-running for 30 s", steps, read, pictures)
 
 
-def _means(horizon: dict[str, Any]) -> dict[str, float]:
-    return {score: row["mean"] for score, row in horizon.items() if isinstance(row, dict)}
-
-
 def ablation(seeds: Sequence[int]) -> Part:
     """What each part of the streaming surrogate is worth."""
-    command = "python studies/ablation.py ablation-{0} --dataset dataset-{0} --seed {0}"
+    command = "python -m studies.ablation ablation-{0} --dataset dataset-{0} --seed {0}"
     tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
     steps = [step(f"ablation-{seed}", command.format(seed), 8, seed, tiny) for seed in seeds]
 
@@ -111,7 +105,7 @@ def ablation(seeds: Sequence[int]) -> Part:
 def data_efficiency(seeds: Sequence[int]) -> Part:
     """How long to record."""
     command = (
-        "python studies/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
+        "python -m studies.data_efficiency efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
     )
     command += "--set members=3 --set drive_updates=300 --set force_updates=800"
     tiny = "--minutes 2 --set members=2 --set force_updates=2 --set drive_updates=2"

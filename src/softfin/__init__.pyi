@@ -6,7 +6,6 @@ from .core.quantities import Log as Log
 from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
-from .evaluation.baselines.baselines import BaselinesConfig as BaselinesConfig
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .evaluation.view.view import ViewConfig as ViewConfig
 from .gaits.force_map import MapConfig as MapConfig
@@ -17,7 +16,6 @@ from .stages.collect import collect as collect
 from .stages.controllers import find_gaits as find_gaits
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
-from .stages.evaluation import baselines as baselines
 from .stages.evaluation import evaluate as evaluate
 from .stages.evaluation import view as view
 from .stages.example import write_example as write_example
@@ -28,9 +26,7 @@ from .stages.reproduce import reproduce as reproduce
 from .stages.reproduce_config import PRESETS as PRESETS
 from .stages.reproduce_config import ReproduceConfig as ReproduceConfig
 from .stages.surrogates import calibrate as calibrate
-from .stages.surrogates import compare as compare
 from .stages.surrogates import fit as fit
-from .stages.surrogates import import_keras as import_keras
 from .storage.dataset import Dataset as Dataset
 from .storage.registry import find_plant as find_plant
 from .surrogate import FitConfig as FitConfig
@@ -38,7 +34,6 @@ from .surrogate import StreamingConfig as StreamingConfig
 from .surrogate import StreamingSurrogate as StreamingSurrogate
 from .surrogate import Surrogate as Surrogate
 from .surrogate import load_surrogate as load_surrogate
-from .surrogate.compare.compare import CompareConfig as CompareConfig
 from .tank import Tank as Tank
 from .tank import TankConfig as TankConfig
 from .tank.calibration.config import CalibrateConfig as CalibrateConfig

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.errors import LogError, PlantError, SoftfinError
+from softfin.core.errors import ConfigurationError, LogError, PlantError, SoftfinError
 from softfin.core.plant import EnsemblePlant, Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading, action_to_command
@@ -21,7 +21,7 @@ from softfin.data.excitation import ExcitationConfig
 from softfin.rig.device_conformance import check_drive, check_force_sensor
 from softfin.surrogate.channels import ANGLE, FORCES, SKIPPED
 from softfin.surrogate.protocol import SurrogatePlant
-from softfin.surrogate.registry import ENTRY_POINT_GROUP, find_architecture, list_architectures
+from softfin.surrogate.registry import find_architecture
 from softfin.surrogate.store import load_surrogate, save_surrogate
 
 __all__ = ("check_drive", "check_force_sensor", "check_plant", "check_surrogate")
@@ -51,9 +51,9 @@ def check_surrogate(surrogate: Any) -> None:
     """Raise a PlantError with the problem and the requirement, unless `surrogate` meets the
     contract `softfin.surrogate.protocol.SurrogatePlant`.
 
-    Checks everything that `check_plant` checks. Also checks that the architecture is registered,
-    that the surrogate is the same after saving and loading, that `warm` continues a history, and
-    that each network of Table I predicts a log. If the surrogate is an `EnsemblePlant`, its
+    Checks everything that `check_plant` checks. Also checks that the architecture is found by its
+    name, that the surrogate is the same after saving and loading, that `warm` continues a history,
+    and that each network of Table I predicts a log. If the surrogate is an `EnsemblePlant`, its
     readings must be the mean over its members, with a positive interval and a finite distance. The
     histories and logs are the surrogate's own readings under random commands.
     """
@@ -265,11 +265,10 @@ def _surrogate_members(surrogate: Any) -> Iterator[Problem]:
             f"has no {', '.join(missing)}",
             "a surrogate must have all members of softfin.surrogate.protocol.SurrogatePlant",
         )
-    if surrogate.model not in list_architectures():
-        yield (
-            f"model = {surrogate.model!r} is not an installed architecture",
-            f"install a package with this entry point in the group {ENTRY_POINT_GROUP}",
-        )
+    try:
+        find_architecture(surrogate.model)
+    except ConfigurationError as error:
+        yield f"model = {surrogate.model!r}", str(error)
     for name in ("flops_per_tick", "parameters"):
         count = getattr(surrogate, name)()
         if not (isinstance(count, int) and count > 0):
@@ -336,14 +335,7 @@ def _warm_up(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
 
 
 def _predictions(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
-    predictions = surrogate.predictions([log])
-    rows = find_architecture(surrogate.model).table_one
-    if predictions.keys() != rows.keys():
-        yield (
-            f"predictions has {', '.join(predictions)}",
-            f"it must have the rows of Architecture.table_one: {', '.join(rows)}",
-        )
-    for name, prediction in predictions.items():
+    for name, prediction in surrogate.predictions([log]).items():
         if not {ANGLE, *FORCES}.issuperset(prediction.channels):
             yield (
                 f"predictions: {name} has the channels {', '.join(prediction.channels)}",

@@ -12,7 +12,7 @@ from softfin.stages.controllers import propose_clock
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig, StreamingSurrogate, load_surrogate
-from softfin.surrogate.registry import find_fitted_architecture
+from softfin.surrogate.registry import find_architecture
 from tests.surrogate.streaming import small
 
 
@@ -41,8 +41,8 @@ def asked(monkeypatch):
 def fit_with(monkeypatch, fit):
     """Every architecture is fitted by this function."""
     monkeypatch.setattr(
-        "softfin.stages.surrogates.find_fitted_architecture",
-        lambda config: find_fitted_architecture(config)._replace(fit=fit),
+        "softfin.stages.surrogates.find_architecture",
+        lambda model: find_architecture(model)._replace(fit=fit),
     )
 
 

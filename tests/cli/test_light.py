@@ -56,10 +56,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["fit", "log.csv", *OUT, "--epochs", "3"], "--epochs: applies only to --model paper"),
     (["calibrate", "full", *OUT], "full: not a dataset"),
     (["calibrate", "tank", *OUT, "--velocity", "3"], "--velocity 3: not a range; use LOW,HIGH"),
-    (
-        ["compare", "no", "--dataset", "no", *OUT, "--horizons", "1,soon"],
-        "--horizons 1,soon: not a list of numbers",
-    ),
+    (["fit", "log.csv", *OUT, "--model", "oracle"], "surrogate architecture oracle: unknown; use"),
     (
         ["train", "tank", *OUT, "--cells", "3"],
         "--cells 3: must be paper, a grid such as 3x3",

@@ -41,10 +41,13 @@ class Page(HTMLParser):
         self.text += data + " "
 
 
-def net(window=100, parameters=113601, rmse=0.0312):
+def net(title, unit="N", published=None, parameters=129794, rmse=0.0312):
     scores = {"rmse": rmse, "mae": 0.002, "dtw_raw": 9.0, "dtw_rms": 0.4, "dtw_mae": 0.0015}
     return {
-        "window": window,
+        "title": title,
+        "unit": unit,
+        "published": published,
+        "window": 100,
         "parameters": parameters,
         "physical": scores,
         "scaled": {**scores, "rmse": rmse / 2},
@@ -66,9 +69,9 @@ def results(evaluation):
         "plant": "the analytic fin",
         "surrogate": {
             "scores": {
-                "posnet": net(),
-                "forcenet_measured": net(parameters=129794),
-                "forcenet_free_running": net(parameters=129794, rmse=0.777),
+                "posnet": net("PosNet, commands to angle", "rad", "posnet", 113601),
+                "forcenet_measured": net("ForceNet, given the measured angle"),
+                "forcenet_free_running": net("ForceNet, free-running behind PosNet", rmse=0.777),
             }
         },
         "controllers": {"single": evaluation.summary(), "grid": still.summary()},

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from examples.import_keras import read_keras_surrogate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,6 @@ from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import SurveyConfig, gait_families, survey
 from softfin.gaits.simulate import simulate_gait as simulate
-from softfin.surrogate import read_keras_surrogate
 from tests.gaits.test_survey import OwnFin
 from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
 from tests.plants import StrokeFin

@@ -13,7 +13,7 @@ from softfin.stages.surrogates import fit
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, ranges
-from softfin.surrogate.registry import find_fitted_architecture
+from softfin.surrogate.registry import find_architecture
 from softfin.surrogate.store import load_surrogate
 from tests.control.test_controllers import untrained
 from tests.gaits.test_map_store import KNOWN
@@ -78,8 +78,8 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
     monkeypatch.setattr(
-        "softfin.stages.surrogates.find_fitted_architecture",
-        lambda config: find_fitted_architecture(config)._replace(fit=fit_streaming),
+        "softfin.stages.surrogates.find_architecture",
+        lambda model: find_architecture(model)._replace(fit=fit_streaming),
     )
     monkeypatch.setattr("softfin.stages.controllers.train_in_process", train_in_process)
     monkeypatch.setattr("softfin.stages.controllers.write_learning", lambda folder: None)

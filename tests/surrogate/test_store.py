@@ -89,7 +89,7 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         ),
         (
             lambda d: d.update(model="oracle"),
-            "unknown model 'oracle'; this version of softfin supports paper, streaming; update softfin",
+            "surrogate architecture oracle: unknown; use streaming, paper, or package.module:ARCH",
         ),
         (
             lambda d: d["channels"]["out"].pop(),

@@ -44,15 +44,12 @@ GROUPS = {
     },
     "Model": {
         "fit": Command("surrogates", "fit a surrogate model of the fin to logs"),
-        "compare": Command("surrogates", "score surrogates on test logs"),
         "calibrate": Command("surrogates", "fit the virtual tank to logs or to a plant"),
-        "import-keras": Command("surrogates", "convert published .keras networks to a surrogate"),
     },
     "Controllers": {
         "map": Command("controllers", "find the mean forces that a fin can produce"),
         "train": Command("controllers", "train force controllers inside a surrogate"),
         "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
-        "baselines": Command("evaluation", "evaluate baselines that need no training"),
         "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a PNG"),
         "explore": Command("evaluation", "write an HTML page for trying controllers in a browser"),
         "export": Command("controllers", "export a controller or a surrogate to ONNX"),

@@ -1,7 +1,6 @@
-"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``baselines``, ``view`` and
-``explore``."""
+"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``view`` and ``explore``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -201,65 +200,6 @@ def random_line(errors: "RandomErrors", decimals: int) -> str:
 
 def _pair(x: float, y: float, decimals: int) -> str:
     return f"{x:.{decimals}f}, {y:.{decimals}f}"
-
-
-class BaselinesArguments(Configured):
-    """Evaluate baselines that need no training: a still fin, the best sine, an inverse model, and
-    random search."""
-
-    out: Out
-    """Output folder for baselines.json."""
-    plant: PlantName = "tank"
-    """The fin: tank, a tank's YAML file, a surrogate's folder, or package.module:plant."""
-    surrogate: PlantName | None = None
-    """Plant in which to search for sines and gaits, such as a surrogate of the fin (default: the
-    fin itself)."""
-    seconds: int | None = None
-    """Length of each experiment [s] (default: 30)."""
-    repeats: Repeats | None = None
-    """Repetitions of each experiment (default: 5)."""
-    seed: int | None = None
-    """Seed for the plant's noise and the random gaits (default: 0)."""
-
-    def __call__(self) -> None:
-        from softfin.evaluation.baselines.baselines import BaselinesConfig
-        from softfin.stages.evaluation import baselines
-
-        config = self.configured(BaselinesConfig(), seeds=self.repeats)
-        with progress() as report:
-            result = baselines(
-                self.plant,
-                self.out,
-                config,
-                surrogate=self.surrogate,
-                overwrite=self.overwrite,
-                progress=report,
-            )
-        self.tell(result, baselines_table(result["baselines"], result["left_out"]))
-
-
-def baselines_table(
-    summaries: "Mapping[str, EvaluationSummary]", left_out: Mapping[str, str]
-) -> str:
-    """Return Table II for every baseline, then a table with each baseline's means and how often the
-    limits of the plant or model clipped it."""
-    from softfin.cli.tables import aligned, table_two
-    from softfin.evaluation.headline import error_decimals
-
-    limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")
-    rows = [["mean over the references [N]", "x error", "y error", "x std", "y std", ""]]
-    for name, summary in summaries.items():
-        x = summary["mean"]["x"]
-        y = summary["mean"]["y"]
-        means = (x["error_n"], y["error_n"], x["std_n"], y["std_n"])
-        clipped = sum(
-            any(row["commanded"].get(limit) for limit in limited) for row in summary["references"]
-        )
-        note = f"{clipped} of {len(summary['references'])} clipped by the limits" if clipped else ""
-        decimals = error_decimals(summary)
-        rows.append([name, *(f"{mean:.{decimals}f}" for mean in means), note])
-    left = [f"{name}  left out: {why}" for name, why in left_out.items()]
-    return "\n".join([table_two(summaries), "", *aligned(rows, (0, 5)), *left])
 
 
 class ViewArguments(Configured):

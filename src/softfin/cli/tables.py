@@ -9,8 +9,7 @@ from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
 from softfin.evaluation.results import EvaluationSummary, MeanScores
-from softfin.surrogate.compare.scores import PAPER_TABLE_I
-from softfin.surrogate.registry import find_table_one_rows
+from softfin.surrogate.table_one import PAPER_TABLE_I
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
@@ -32,12 +31,10 @@ def format_table_one(scores: JsonObject | None) -> str:
     if scores is None:
         return "no test logs: Table I has no rows"
     rows: list[list[object]] = [["Table I", "window", "parameters", "", "RMSE", "MAE", "DTW"]]
-    networks = find_table_one_rows(scores)
-    for name, row in scores.items():
-        network = networks[name]
-        titles = [network.title, row["window"] or "-", f"{row['parameters']:,}"]
+    for row in scores.values():
+        titles = [row["title"], row["window"] or "-", f"{row['parameters']:,}"]
         for unit, label in (("physical", titles), ("scaled", ["", "", ""])):
-            measure = network.unit if unit == "physical" else "scaled"
+            measure = row["unit"] if unit == "physical" else "scaled"
             errors = row[unit]
             scored = (errors["rmse"], errors["mae"], errors["dtw_mae"])
             rows.append([*label, measure, *map("{:.4f}".format, scored)])

@@ -133,15 +133,6 @@ def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
 
-def roll_with_true_force(
-    plant: Plant, state: State, commands: Command
-) -> tuple[State, tuple[Reading, Array | None]]:
-    """Issue commands like `roll`; also return the true force ``(ticks, 2)`` [N], or None if it is
-    unknown."""
-    check_commands(plant.limits, commands)
-    return jax.lax.scan(partial(_tick_with_true_force, plant), state, commands)
-
-
 def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]:
     state, reading = plant.advance(state, command, 1)
     return state, jax.tree.map(lambda x: x[0], reading)

@@ -59,8 +59,8 @@ from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
 
 
-class ExperimentsConfig(Configuration):
-    """Configuration of experiments at constant references."""
+class EvaluateConfig(Configuration):
+    """Configuration of the experiments by which a controller is scored."""
 
     references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
         default=()
@@ -74,17 +74,6 @@ class ExperimentsConfig(Configuration):
     """Number of repetitions with different randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the run, from which the seeds of the repetitions and all other randomness derive."""
-
-    def keys(self) -> Key[Array, "seeds"]:
-        """Return the keys of the repetitions, with which a plant is initialized."""
-        return jnp.stack(
-            [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
-        )
-
-
-class EvaluateConfig(ExperimentsConfig):
-    """Configuration of the experiments by which a controller is scored."""
-
     moving: tuple[MovingReference, ...] = ()
     """Kinds of moving references (`evaluation.moving_references.SIGNALS`), scaled to the
     controller's range."""
@@ -103,6 +92,12 @@ class EvaluateConfig(ExperimentsConfig):
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces that the controller was trained
     for; None to draw none."""
+
+    def keys(self) -> Key[Array, "seeds"]:
+        """Return the keys of the repetitions, with which a plant is initialized."""
+        return jnp.stack(
+            [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
+        )
 
 
 @dataclasses.dataclass(frozen=True)

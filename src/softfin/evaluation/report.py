@@ -47,8 +47,7 @@ from softfin.storage.figures import (
     styled,
     with_minus_signs,
 )
-from softfin.surrogate.compare.scores import PAPER_TABLE_I
-from softfin.surrogate.registry import find_table_one_rows
+from softfin.surrogate.table_one import PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
@@ -155,12 +154,11 @@ class OverviewRow(NamedTuple):
 
 
 def _table_one(scores: JsonObject) -> list[JsonObject]:
-    """Return a row for each network that has scores."""
+    """Return a row for each network, with the paper's scores of the same network."""
     rows = []
-    for key, (text, unit, published) in find_table_one_rows(scores).items():
-        if key in scores:
-            paper = PAPER_TABLE_I[published] if published else None
-            rows.append({**scores[key], "text": text, "unit": unit, "paper": paper})
+    for row in scores.values():
+        published = row["published"]
+        rows.append({**row, "paper": PAPER_TABLE_I[published] if published else None})
     return rows
 
 

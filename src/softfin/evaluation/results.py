@@ -160,14 +160,6 @@ class EvaluationSummary(TypedDict):
     provenance: NotRequired[JsonObject]
 
 
-class Baselines(TypedDict):
-    """The scores of ``baselines.json``."""
-
-    baselines: dict[str, EvaluationSummary]
-    left_out: dict[str, str]
-    """Reasons why baselines have no scores, by name."""
-
-
 class StageRow(TypedDict):
     """One stage of a run; stages that an earlier run finished have no times."""
 
@@ -189,8 +181,7 @@ class RunResults(TypedDict, total=False):
     seed: int
     seeds: int
     surrogate: JsonObject | None
-    """``{"scores": ...}`` from `compare.scores.table_one`; None if the run used an existing
-    surrogate."""
+    """``{"scores": ...}`` from `table_one`; None if the run used an existing surrogate."""
     controllers: dict[str, EvaluationSummary]
     """Evaluation of each kind of controller (``gaits``, ``single``, ``grid``)."""
     trimmed: dict[str, EvaluationSummary] | None

@@ -1,8 +1,7 @@
-"""Stages that evaluate or show a moving fin: with a controller (paper Sec. IV-B), with baselines,
-as a video or a page."""
+"""Stages that evaluate or show a moving fin: with a controller (paper Sec. IV-B), as a video or a
+page."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from softfin.control.controller import Controller
@@ -13,11 +12,6 @@ from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.evaluation.baselines.baselines import (
-    BaselinesConfig,
-    evaluate_baselines,
-    write_baselines,
-)
 from softfin.evaluation.evaluate import (
     EvaluateConfig,
     score_controller,
@@ -89,36 +83,6 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
                 f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
                 "surrogate of this plant"
             )
-
-
-def baselines(
-    plant: str | Plant,
-    out: Path,
-    config: BaselinesConfig | None = None,
-    *,
-    surrogate: str | Plant | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Evaluate a still fin, the best sine, an inverse model and random gaits; writes
-    ``baselines.json`` to `out`.
-
-    The search for sines and gaits runs in `surrogate`, or in the plant itself.
-    """
-    config = config or BaselinesConfig()
-    artifacts.check_vacant(out, overwrite)
-    moving = find_plant(plant)
-    search_in = moving if surrogate is None else find_plant(surrogate)
-    result: JsonObject = {
-        **artifacts.head("baselines"),
-        **evaluate_baselines(moving, search_in, config, partial(progress, "baselines")),
-        "plant": plant_name(plant),
-        "searched_in": plant_name(plant if surrogate is None else surrogate),
-        "configuration": config.model_dump(mode="json"),
-        "provenance": artifacts.provenance(seed=config.seed),
-    }
-    write_baselines(result, out, overwrite)
-    return result
 
 
 def _resolve(

@@ -12,6 +12,8 @@ from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
+import equinox as eqx
+import jax
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
@@ -19,7 +21,7 @@ from matplotlib.figure import Figure
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import EnsemblePlant
+from softfin.core.plant import roll
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ
@@ -41,9 +43,7 @@ from softfin.storage.dataset import Dataset
 from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_training_log
-from softfin.surrogate import load_surrogate
-from softfin.surrogate.compare.scores import free_run
-from softfin.surrogate.registry import find_architecture
+from softfin.surrogate import Surrogate, load_surrogate
 
 REPRODUCTION_KIND = "reproduction"
 RESULTS = "results.json"
@@ -406,17 +406,17 @@ class _Reproduction:
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
-        free, _ = free_run(surrogate, [log], [(0, first)], ticks)
-        predicted = {"free-running": np.asarray(free.force[0])}
-        if not isinstance(surrogate, EnsemblePlant):
-            networks = find_architecture(surrogate.model).table_one
-            for name, prediction in surrogate.predictions([log]).items():
-                if networks[name].published == "forcenet":
-                    # The first rows of the log may have no prediction.
-                    (force,) = prediction.series
-                    shift = rows - len(force)
-                    given = force[first - shift : stretch.stop - shift]
-                    predicted = {"given the angle": given, **predicted}
+        state = surrogate.warm(jax.tree.map(lambda x: x[first - surrogate.memory : first], log))
+        # The reading of row k follows the command of row k - 1.
+        commands = jax.tree.map(lambda x: x[first - 1 : stretch.stop - 1], log.command)
+        _, free = eqx.filter_jit(roll)(surrogate, state, commands)
+        predicted = {"free-running": np.asarray(free.force)}
+        if isinstance(surrogate, Surrogate):
+            (force,) = surrogate.predictions([log])["forcenet_measured"].series
+            # The first rows of the log have no prediction.
+            shift = rows - len(force)
+            given = force[first - shift : stretch.stop - shift]
+            predicted = {"given the angle": given, **predicted}
         return {
             "Force in a test log and in the surrogate": prediction_figure(
                 np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ

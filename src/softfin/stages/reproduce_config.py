@@ -1,7 +1,5 @@
 """Configuration of a complete run, stage by stage, and the presets of ``softfin reproduce``."""
 
-from typing import TYPE_CHECKING, TypeAlias, Union
-
 from pydantic import PositiveInt, model_validator
 
 from softfin.control.disturbance_observer import DisturbanceObserverConfig
@@ -15,7 +13,6 @@ from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.registry import find_architecture, list_architectures
 from softfin.task.references import PAPER_RANGE
 from softfin.task.signals import Recorded
 
@@ -26,20 +23,13 @@ ONE_STEP = Recorded(time_s=(0, 10), force_n=((2, -1), (2, 1)))
 """Moving reference: one step from one side to the other."""
 
 
-if TYPE_CHECKING:
-    AnyFitConfig: TypeAlias = Configuration
-else:
-    # A type, so that pydantic finds the configuration class from the keys of a mapping.
-    AnyFitConfig = Union[tuple(find_architecture(name).config for name in list_architectures())]  # noqa: UP007
-
-
 class ReproduceConfig(Configuration):
     """Configuration of all stages; the defaults are the paper's data and budgets. A controller set
     to null is skipped."""
 
     collect: CollectConfig = CollectConfig()
     """Logs of the plant; unused if the plant is a surrogate."""
-    fit: AnyFitConfig = FitConfig()
+    fit: StreamingConfig | FitConfig = FitConfig()
     """Surrogate; the class of the configuration selects its architecture. Unused if the plant is a
     surrogate."""
     gaits: MapConfig | None = None

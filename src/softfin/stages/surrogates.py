@@ -1,13 +1,11 @@
-"""Stages for models of a fin: fit and compare surrogates (paper Sec. III-B), and calibrate the
-tank."""
+"""Stages for models of a fin: fit a surrogate (paper Sec. III-B), and calibrate the tank."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
 from softfin.core.progress import Progress, silent
@@ -17,21 +15,13 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.data.stroke_time import stroke_time
 from softfin.storage import artifact as artifacts
-from softfin.storage.dataset import Dataset
 from softfin.storage.output_lock import lock_output
-from softfin.storage.registry import find_plant, plant_name
+from softfin.storage.registry import plant_name
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate import (
-    Surrogate,
-    load_surrogate,
-    read_keras_surrogate,
-    save_surrogate,
-)
+from softfin.surrogate import SurrogateConfig, load_surrogate, save_surrogate
 from softfin.surrogate.channels import SKIPPED, ranges
-from softfin.surrogate.compare.compare import CompareConfig, candidates, compare_surrogates
-from softfin.surrogate.compare.report import write_comparison
-from softfin.surrogate.compare.scores import measured_ranges, table_one
-from softfin.surrogate.registry import DEFAULT, find_architecture, find_fitted_architecture
+from softfin.surrogate.registry import DEFAULT, find_architecture
+from softfin.surrogate.table_one import measured_ranges, table_one
 from softfin.surrogate.training import check_lengths
 from softfin.tank.calibration.calibrate import calibrate_tank
 from softfin.tank.calibration.config import CalibrateConfig
@@ -42,7 +32,7 @@ from softfin.tank.calibration.model import material
 def fit(
     dataset: Path,
     out: Path,
-    config: Configuration | None = None,
+    config: SurrogateConfig | None = None,
     *,
     logs: ImportConfig | None = None,
     ignore_errors: bool = False,
@@ -55,13 +45,13 @@ def fit(
     counts, a caveat, and a warning if noise hides the force in the logs.
 
     The class of the configuration selects the architecture: `StreamingConfig` (the default),
-    `FitConfig` for the paper's networks, or that of an installed package.
+    `FitConfig` for the paper's networks, or that of your own architecture.
     `dataset` is a dataset's folder, or recordings of any other kind, read with the options in
     `logs`. Raises LogError if the logs have errors, unless errors are ignored, now or when the
     dataset was imported.
     """
     config = config or find_architecture(DEFAULT).config()
-    architecture = find_fitted_architecture(config)
+    architecture = find_architecture(config.model)
     artifacts.check_vacant(out, overwrite or resume)
     description = (
         artifacts.load_description(dataset, "dataset")
@@ -146,61 +136,6 @@ def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
         largest = max(abs(limits.angle_min), abs(limits.angle_max))
         hint = "; if they are in degrees, use --angles deg" if largest > MAX_ANGLE_RAD else ""
         raise LogError(f"{dataset}: the training commands: {problem}{hint}")
-
-
-def import_keras(
-    posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False
-) -> Surrogate:
-    """Convert two published ``.keras`` files and the JSON of their scalers to a surrogate."""
-    artifacts.check_vacant(out, overwrite)
-    surrogate = read_keras_surrogate(posnet, forcenet, scalers)
-    sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
-    save_surrogate(
-        out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite
-    )
-    return surrogate
-
-
-def compare(
-    surrogates: Sequence[Path],
-    dataset: Path,
-    out: Path | None = None,
-    config: CompareConfig | None = None,
-    *,
-    noise_floor: str | Plant | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON
-    and a figure to `out`.
-
-    `noise_floor` is a plant that records the same commands again, such as the tank. Its error comes
-    from the noise and drift of both recordings and from the perturbation of the tanks.
-    """
-    config = config or CompareConfig()
-    if out is not None:
-        artifacts.check_vacant(out, overwrite)
-    found = candidates(surrogates)
-    data = Dataset.open(dataset)
-    if not data.test:
-        raise ArtifactError(
-            f"{dataset}: contains no test logs; put Parquet logs into {dataset / 'test'}"
-        )
-    floor = None if noise_floor is None else (plant_name(noise_floor), find_plant(noise_floor))
-    comparison = compare_surrogates(found, list(data.load(data.test)), config, floor, progress)
-    summary = {
-        **artifacts.head("comparison"),
-        **comparison.summary,
-        "dataset": str(dataset),
-        "test_logs": len(data.test),
-        "configuration": config.model_dump(mode="json"),
-        "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
-    }
-    if out is not None:
-        artifacts.write_folder(
-            out, lambda folder: write_comparison(folder, comparison, summary), overwrite
-        )
-    return summary
 
 
 @lock_output

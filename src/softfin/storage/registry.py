@@ -8,6 +8,8 @@ Fins that move in real time are ``rig`` and ``ros2``, optionally with ``:FILE``;
 
 import importlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,8 +60,8 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     if artifacts.is_kind(path, "surrogate"):
         return lambda: importlib.import_module("softfin.surrogate").load_surrogate(path)
     if ":" in name and not path.exists():
-        _import_object(name)
-        return partial(_import_object, name, build=True)
+        _import_plant(name)
+        return partial(_import_plant, name, build=True)
     what = "does not exist"
     if path.is_dir():
         what = "contains no surrogate.json"
@@ -99,27 +101,41 @@ def _build_tank(name: str) -> Any:
     return tank.Tank(tank.TankConfig.build({} if name == TANK else read_yaml(Path(name)), name))
 
 
-def _import_object(name: str, build: bool = False) -> Any:
-    """Import ``package.module:attribute``. With `build`, return the plant: the attribute itself, or
-    the result of calling it."""
+def import_object(name: str) -> Any:
+    """Import ``package.module:attribute`` from the current folder or an installed package; raises
+    any error of the module."""
     module, _, attribute = name.partition(":")
-    # As for `python -m`: users usually keep their simulator in the working directory.
+    with _current_folder_on_path():
+        return getattr(importlib.import_module(module), attribute)
+
+
+@contextmanager
+def _current_folder_on_path() -> Iterator[None]:
+    # As for `python -m`: users usually keep their own modules in the working directory.
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
-        plant = getattr(importlib.import_module(module), attribute)
+        yield
+    finally:
+        sys.path.remove(here)
+
+
+def _import_plant(name: str, build: bool = False) -> Any:
+    """Import ``package.module:attribute``. With `build`, return the plant: the attribute itself, or
+    the result of calling it."""
+    try:
+        plant = import_object(name)
         if not build:
             return plant
         from softfin.core.plant import Plant
 
         if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
-            plant = plant()
+            with _current_folder_on_path():
+                plant = plant()
     except Exception as error:
         # The user's code may raise any error.
         reason = one_line(error)
         raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; use {HELP}") from error
-    finally:
-        sys.path.remove(here)
     if not isinstance(plant, Plant):
         raise PlantError(
             f"plant {name}: a {type(plant).__name__} is not a plant with limits, init and advance; "

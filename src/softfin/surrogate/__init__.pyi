@@ -1,9 +1,8 @@
 from .paper.fit import FitConfig as FitConfig
-from .paper.keras import read_keras_surrogate as read_keras_surrogate
 from .paper.surrogate import Surrogate as Surrogate
 from .protocol import Architecture as Architecture
+from .protocol import SurrogateConfig as SurrogateConfig
 from .protocol import SurrogatePlant as SurrogatePlant
-from .protocol import TableOneRow as TableOneRow
 from .store import load_surrogate as load_surrogate
 from .store import save_surrogate as save_surrogate
 from .streaming.fit import StreamingConfig as StreamingConfig

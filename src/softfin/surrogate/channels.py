@@ -39,6 +39,8 @@ UNKNOWN: Mapping[str, None] = {"training_range": None, "fin": None}
 class NetPrediction(NamedTuple):
     """Predictions of a network for several logs; one row of Table I."""
 
+    title: str
+    """Network and its inputs."""
     channels: tuple[str, ...]
     series: Sequence[Float[np.ndarray, "predicted channels"]]
     """Predictions for each log [rad or N]; the first rows of a log may have none."""
@@ -46,6 +48,9 @@ class NetPrediction(NamedTuple):
     """Number of past samples in the input; None for recurrent networks."""
     parameters: int
     """Number of trainable parameters."""
+    published: str | None = None
+    """Row of the paper's Table I (``posnet`` or ``forcenet``) that has the same inputs and
+    outputs."""
 
 
 class ChannelScaling(Configuration):

@@ -4,8 +4,8 @@
 architecture.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -29,7 +29,8 @@ class SurrogatePlant(Plant, Protocol):
 
     @property
     def model(self) -> str:
-        """Name of the architecture in `softfin.surrogate.registry`."""
+        """Name of the architecture, as `softfin.surrogate.registry.find_architecture` accepts
+        it."""
 
     @property
     def memory(self) -> int:
@@ -48,7 +49,7 @@ class SurrogatePlant(Plant, Protocol):
         """
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Predict the last rows of each log with each network of `Architecture.table_one`."""
+        """Predict the last rows of each log with each network, by name: the rows of Table I."""
 
     def flops_per_tick(self) -> int:
         """Return the number of floating-point operations in the matrix products per sample and
@@ -71,23 +72,18 @@ class ExplorableSurrogate(SurrogatePlant, Protocol):
         """Return the entries and arrays that the script reads."""
 
 
-class TableOneRow(NamedTuple):
-    """Row of Table I with the scores of one network."""
+class SurrogateConfig(Configuration):
+    """Configuration of the fit of a surrogate; its class selects the architecture."""
 
-    title: str
-    """Network and its inputs."""
-    unit: str
-    """rad or N."""
-    published: str | None = None
-    """Row of the paper's Table I (``posnet`` or ``forcenet``) that has the same inputs and
-    outputs."""
+    model: ClassVar[str]
+    """Name of the architecture, as for `SurrogatePlant.model`."""
 
 
 class Architecture(NamedTuple):
-    """An architecture of surrogates, under its name in `softfin.surrogate.registry`."""
+    """An architecture of surrogates: softfin's own, or ``package.module:ARCHITECTURE``."""
 
-    config: type[Configuration]
-    """Configuration of the fit, which has a default for each field. Its name ends in ``Config``."""
+    config: type[SurrogateConfig]
+    """Configuration of the fit, which has a default for each field."""
     fit: Callable[..., SurrogatePlant]
     """Function ``(logs, config, seed, run_directory, progress)`` that fits a surrogate to the
     training logs, and continues from the checkpoint in `run_directory`, if any."""
@@ -95,6 +91,3 @@ class Architecture(NamedTuple):
     """Function ``(description, weights, source)`` that builds a surrogate from the content of
     ``surrogate.json`` and its arrays. `source` is the name of that file for error messages; a
     ConfigurationError, KeyError, TypeError or ValueError is converted to an ArtifactError."""
-    table_one: Mapping[str, TableOneRow]
-    """Rows of Table I by the names of the networks in `SurrogatePlant.predictions`, which no other
-    architecture uses."""

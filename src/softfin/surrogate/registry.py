@@ -1,89 +1,53 @@
-"""Architectures of surrogates by name: softfin's own, and those of installed packages, which add
-them with the entry point group ``softfin.surrogates``.
+"""Finds architectures of surrogates by name: softfin's own, or ``package.module:ARCHITECTURE``.
 
-An architecture is imported on first use, so listing the names needs no JAX.
+An architecture is imported on first use, so naming softfin's own needs no JAX.
 """
 
-from collections.abc import Mapping
-from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 from softfin.core.errors import ConfigurationError, one_line
-from softfin.storage.plugins import list_plugins
+from softfin.storage.registry import import_object
 
 if TYPE_CHECKING:
-    from softfin.core.configuration import Configuration
-    from softfin.surrogate.protocol import Architecture, TableOneRow
-
-ENTRY_POINT_GROUP = "softfin.surrogates"
-"""Group of the entry points ``NAME = "package.module:ARCHITECTURE"`` of other packages."""
+    from softfin.surrogate.protocol import Architecture
 
 DEFAULT = "streaming"
 """Architecture that is fitted by default."""
 
 PAPER = "paper"
-"""The paper's networks, with whose cost others are compared. Folders of the first versions of
-softfin name no architecture and contain these."""
+"""The paper's networks."""
 
 ARCHITECTURES = {
     DEFAULT: "softfin.surrogate.streaming.architecture:STREAMING_ARCHITECTURE",
     PAPER: "softfin.surrogate.paper.architecture:PAPER_ARCHITECTURE",
 }
-"""softfin's own architectures. An entry point of the same name is ignored."""
+"""softfin's own architectures."""
 
-
-def list_architectures() -> dict[str, EntryPoint]:
-    """Return all architectures by name, softfin's own first."""
-    return list_plugins(ENTRY_POINT_GROUP, ARCHITECTURES)
+HELP = f"{', '.join(ARCHITECTURES)}, or package.module:ARCHITECTURE (your own)"
 
 
 def find_architecture(name: str) -> "Architecture":
-    """Import the architecture `name`, which must be one of `list_architectures`.
+    """Import an architecture: one of `ARCHITECTURES`, or ``package.module:ARCHITECTURE`` in the
+    current folder or an installed package.
 
     Raises:
-        ConfigurationError: its package cannot be imported.
+        ConfigurationError: there is no such architecture, or its module cannot be imported.
     """
-    entry_point = list_architectures()[name]
+    place = ARCHITECTURES.get(name, name)
+    if ":" not in place:
+        raise ConfigurationError(f"surrogate architecture {name}: unknown; use {HELP}")
+    from softfin.surrogate.protocol import Architecture
+
     try:
-        architecture: Architecture = entry_point.load()
+        architecture = import_object(place)
     except Exception as error:
-        # The code of another package may raise any error.
+        # The user's code may raise any error.
         raise ConfigurationError(
-            f"surrogate architecture {name}: {entry_point.value} cannot be imported "
-            f"({type(error).__name__}: {one_line(error)}); repair or uninstall its package"
+            f"surrogate architecture {name}: {type(error).__name__}: {one_line(error)}; use {HELP}"
         ) from error
+    if not isinstance(architecture, Architecture):
+        raise ConfigurationError(
+            f"surrogate architecture {name}: a {type(architecture).__name__} is not a "
+            f"softfin.surrogate.Architecture; use {HELP}"
+        )
     return architecture
-
-
-def find_fitted_architecture(config: "Configuration") -> "Architecture":
-    """Return the architecture that a fit with this configuration produces.
-
-    Raises:
-        ConfigurationError: no architecture has a configuration of this class.
-    """
-    config_names = []
-    for name in list_architectures():
-        architecture = find_architecture(name)
-        if isinstance(config, architecture.config):
-            return architecture
-        config_names.append(architecture.config.__name__)
-    raise ConfigurationError(
-        f"config: {type(config).__name__} does not configure the fit of a surrogate; use "
-        f"{', '.join(config_names)}"
-    )
-
-
-def find_table_one_rows(scores: Mapping[str, object]) -> "Mapping[str, TableOneRow]":
-    """Return the rows of Table I of the architecture whose networks have these scores.
-
-    Raises:
-        ConfigurationError: no architecture has networks of these names.
-    """
-    for name in list_architectures():
-        rows = find_architecture(name).table_one
-        if scores.keys() <= rows.keys():
-            return rows
-    raise ConfigurationError(
-        f"Table I: no surrogate architecture has the networks {', '.join(scores)}; install the "
-        "package of this architecture"
-    )

@@ -9,7 +9,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.protocol import SurrogatePlant
-from softfin.surrogate.registry import PAPER, find_architecture, list_architectures
+from softfin.surrogate.registry import PAPER, find_architecture
 
 SURROGATE_KIND = "surrogate"
 
@@ -48,7 +48,8 @@ def save_surrogate(
 
 
 def load_surrogate(path: Path) -> SurrogatePlant:
-    """Load the surrogate in a folder.
+    """Load the surrogate in a folder. If its model is ``package.module:ARCHITECTURE``, this module
+    is imported from the current folder or an installed package.
 
     Raises:
         ArtifactError: it is damaged, or has an unsupported rate, model or set of channels.
@@ -60,15 +61,12 @@ def load_surrogate(path: Path) -> SurrogatePlant:
             f"{source}: the surrogate runs at {description.get('rate_hz')} Hz; softfin requires "
             f"{RATE_HZ} Hz"
         )
-    model = description.get("model", PAPER)
-    architectures = list_architectures()
-    if model not in architectures:
+    try:
+        architecture = find_architecture(str(description.get("model", PAPER)))
+    except ConfigurationError as error:
         raise ArtifactError(
-            f"{source}: unknown model {model!r}; this version of softfin supports "
-            f"{', '.join(sorted(architectures))}; update softfin, or install the package of this "
-            "model"
-        )
-    architecture = find_architecture(model)
+            f"{source}: {error}; run softfin where this module is, or update softfin"
+        ) from error
     try:
         surrogate = architecture.load(description, weights, source)
         # Validates the limits: those of the paper's networks come from the scaling, unchecked.

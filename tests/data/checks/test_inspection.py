@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from examples.import_keras import read_keras_surrogate
 
 from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.importing import ImportConfig
-from softfin.surrogate import read_keras_surrogate
 from softfin.tank import IDEAL, Tank, TankConfig
 from tests.data.faulty import (
     ROWS,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.core.action_clock import PAPER_CLOCK
+from softfin.core.errors import LogError
 from softfin.core.plant import hold, roll
 from softfin.core.quantities import Command
 from softfin.surrogate.paper.network import Network
@@ -112,3 +113,32 @@ def test_gradients_go_through_a_stroke():
     step = 1e-2
     measured = (mean_force(at + step) - mean_force(at - step)) / (2 * step)
     assert float(jax.grad(mean_force)(at)) == pytest.approx(float(measured), rel=0.02)
+
+
+def test_warm_counts_on_from_the_time_of_the_last_row():
+    plant = small.surrogate()
+    log = small.log(rows=60)
+    last = jax.tree.map(lambda x: jnp.asarray(x[-1]), log.command)
+    _, reading = plant.advance(plant.warm(log), last, 1)
+    assert float(reading.time[0]) == pytest.approx(0.60)
+    # A Unix clock counts within its day.
+    unix = log._replace(reading=log.reading._replace(time=1.7e9 + np.arange(60) / 100))
+    _, reading = plant.advance(plant.warm(unix), last, 1)
+    assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 0.60, abs=0.01)
+
+
+def test_only_the_last_rows_of_a_history_matter():
+    plant = small.surrogate()
+    log = small.log(rows=100)
+    long = plant.warm(log)
+    short = plant.warm(jax.tree.map(lambda x: x[-plant.memory :], log))
+    assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
+    with pytest.raises(LogError, match="history: 11 rows; this surrogate needs 12 rows to warm up"):
+        plant.warm(jax.tree.map(lambda x: x[:11], log))
+
+
+def test_parameters_are_the_leaves_of_both_networks():
+    plant = small.surrogate()
+    networks = (plant.posnet, plant.forcenet)
+    assert plant.parameters() == sum(array.size for array in jax.tree.leaves(networks))
+    assert (plant.model, plant.memory) == ("paper", small.WINDOW)

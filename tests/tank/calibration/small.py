@@ -16,14 +16,11 @@ CONFIG = CalibrateConfig.build(
             "water": {"drag_coefficient": 6.0},
             "steps_per_tick": 1,
         },
-        "search_plates": 2,
         "evaluations": 24,
-        "population": 6,
         "iterations": 12,
         "segments": 6,
         "test_segments": 2,
         "segment_s": 5.0,
         "warm_up_s": 2.0,
-        "block_s": 0.5,
     }
 )

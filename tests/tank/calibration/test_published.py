@@ -2,9 +2,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.import_keras import read_keras_surrogate
 
 from softfin.core.configuration import read_yaml
-from softfin.surrogate import read_keras_surrogate
 from softfin.tank.calibration.calibrate import scores
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.model import cut, material, read, stacked

@@ -5,7 +5,6 @@ from softfin.core.errors import RunError
 from softfin.tank.calibration.search import FAILED, linearised, polish, search
 
 TARGET = np.array([0.2, 0.7, 1.0])
-EVEN = np.ones(1)
 
 
 def bowl(points):
@@ -76,13 +75,13 @@ def steep(points):
 
 
 def test_it_follows_a_bent_valley_to_its_end():
-    linear = polish(valley, np.array([0.1, 0.9]), EVEN, 50)
+    linear = polish(valley, np.array([0.1, 0.9]), 50)
     np.testing.assert_allclose(linear.point, [2 / 3, 2 / 3], atol=1e-3)
     assert linear.loss < 1e-6
 
 
 def test_the_jacobian_is_that_of_the_residuals():
-    linear = linearised(valley, np.array([0.5, 0.4]), EVEN)
+    linear = linearised(valley, np.array([0.5, 0.4]))
     x = 0.5
     expected = np.array([[-3.0, -60.0 * x], [0.0, 30.0]]) / np.sqrt(2)
     np.testing.assert_allclose(linear.jacobian[:, 0, :, 0], expected, rtol=1e-3, atol=1e-3)
@@ -93,15 +92,13 @@ def test_the_jacobian_is_that_of_the_residuals():
 
 
 def test_at_a_face_of_the_box_differences_are_one_sided():
-    linear = linearised(valley, np.array([0.0, 1.0]), EVEN)
+    linear = linearised(valley, np.array([0.0, 1.0]))
     np.testing.assert_allclose(linear.jacobian[1, 0, :, 0], [0.0, 30 / np.sqrt(2)], rtol=1e-3)
 
 
 def test_steps_that_end_in_failure_are_shortened():
     seen = []
-    linear = polish(
-        steep, np.array([0.2, 0.2]), EVEN, 12, lambda iteration, loss: seen.append(loss)
-    )
-    assert seen[-1] < linearised(valley, np.array([0.2, 0.2]), EVEN).loss
+    linear = polish(steep, np.array([0.2, 0.2]), 12, lambda iteration, loss: seen.append(loss))
+    assert seen[-1] < linearised(valley, np.array([0.2, 0.2])).loss
     assert np.isfinite(linear.loss)
     assert np.abs(linear.point - 0.2).max() < 0.01

@@ -2,15 +2,6 @@
 
 from softfin.surrogate.paper.fit import FitConfig, fit_paper
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.protocol import Architecture, TableOneRow
+from softfin.surrogate.protocol import Architecture
 
-PAPER_ARCHITECTURE = Architecture(
-    config=FitConfig,
-    fit=fit_paper,
-    load=Surrogate.from_files,
-    table_one={
-        "posnet": TableOneRow("PosNet, commands to angle", "rad", "posnet"),
-        "forcenet_measured": TableOneRow("ForceNet, given the measured angle", "N", "forcenet"),
-        "forcenet_free_running": TableOneRow("ForceNet, free-running behind PosNet", "N"),
-    },
-)
+PAPER_ARCHITECTURE = Architecture(config=FitConfig, fit=fit_paper, load=Surrogate.from_files)

@@ -6,7 +6,7 @@ lowest error on held-out logs, and training stops early if neither improves.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
 from softfin.core.compilation import jit
-from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
@@ -26,6 +25,7 @@ from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COLUMNS, COMMAND_COLUMNS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
+from softfin.surrogate.protocol import SurrogateConfig
 from softfin.surrogate.training import (
     UPDATES_A_CALL,
     TrainingState,
@@ -36,8 +36,10 @@ from softfin.surrogate.training import (
 )
 
 
-class FitConfig(Configuration):
+class FitConfig(SurrogateConfig):
     """Configuration of the fit of the paper's networks."""
+
+    model: ClassVar[str] = Surrogate.model
 
     posnet: NetworkConfig = POSNET
     """Network from commands to angle."""

@@ -159,6 +159,7 @@ class Surrogate(eqx.Module):
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
         """Predict logs with PosNet, and with ForceNet from both measured and predicted angles."""
+        window = self.window
         posnet = self.posnet.config.parameters()
         forcenet = self.forcenet.config.parameters()
         angle = []
@@ -169,9 +170,15 @@ class Surrogate(eqx.Module):
             measured.append(self.predict_force(log, free_running=False))
             free.append(self.predict_force(log, free_running=True))
         return {
-            "posnet": NetPrediction((ANGLE,), angle, self.window, posnet),
-            "forcenet_measured": NetPrediction(FORCES, measured, self.window, forcenet),
-            "forcenet_free_running": NetPrediction(FORCES, free, self.window, forcenet),
+            "posnet": NetPrediction(
+                "PosNet, commands to angle", (ANGLE,), angle, window, posnet, "posnet"
+            ),
+            "forcenet_measured": NetPrediction(
+                "ForceNet, given the measured angle", FORCES, measured, window, forcenet, "forcenet"
+            ),
+            "forcenet_free_running": NetPrediction(
+                "ForceNet, free-running behind PosNet", FORCES, free, window, forcenet
+            ),
         }
 
     def flops_per_tick(self) -> int:

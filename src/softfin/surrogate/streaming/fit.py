@@ -7,7 +7,7 @@ networks predict for complete logs, because a surrogate predicts forces from com
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -19,13 +19,13 @@ from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.compilation import jit
-from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log, Reading, command_limits
 from softfin.core.randomness import named_key
 from softfin.storage.run_directory import RunDirectory
+from softfin.surrogate.protocol import SurrogateConfig
 from softfin.surrogate.streaming.ensemble import (
     Member,
     calibrated,
@@ -62,9 +62,11 @@ NetLoss = Callable[
 config)."""
 
 
-class StreamingConfig(Configuration):
+class StreamingConfig(SurrogateConfig):
     """Configuration of the fit of a streaming ensemble; docs/appendix/surrogates.md contains the
     measurements behind the defaults."""
+
+    model: ClassVar[str] = StreamingSurrogate.model
 
     drive: DriveNetConfig = DriveNetConfig()
     """Network from commands to motion."""

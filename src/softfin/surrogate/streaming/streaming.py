@@ -180,9 +180,29 @@ class StreamingSurrogate(eqx.Module):
         force_given = average(predict_force(force, measured))
         force_free = average(predict_force(force, free))
         return {
-            "drive": NetPrediction((ANGLE,), average(angle), None, parameters(drive)),
-            "force_measured": NetPrediction(FORCES, force_given, None, parameters(force)),
-            "force_free_running": NetPrediction(FORCES, force_free, None, parameters(force)),
+            "drive": NetPrediction(
+                "Drive networks, commands to angle",
+                (ANGLE,),
+                average(angle),
+                None,
+                parameters(drive),
+                "posnet",
+            ),
+            "force_measured": NetPrediction(
+                "Force networks, given the measured motion",
+                FORCES,
+                force_given,
+                None,
+                parameters(force),
+                "forcenet",
+            ),
+            "force_free_running": NetPrediction(
+                "Force networks, free-running behind the drive networks",
+                FORCES,
+                force_free,
+                None,
+                parameters(force),
+            ),
         }
 
     def flops_per_tick(self) -> int:

@@ -27,6 +27,7 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import (
+    BLOCK_S,
     CalibrateConfig,
     CalibrationPoint,
     RecordingConfig,
@@ -40,6 +41,12 @@ ChannelScores: TypeAlias = dict[str, dict[str, float]]
 
 TRACE_S = 10
 """Plotted duration of a test segment [s]."""
+
+POPULATION = 16
+"""Number of tanks per generation of the global search, which are simulated together."""
+
+SEARCH_TANK = {"fin": {"plates": 4}, "steps_per_tick": 1}
+"""Resolution of the tanks in the global search; the local search uses that of the initial tank."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,11 +121,11 @@ def prepared(
     warm_up = round(config.warm_up_s * RATE_HZ)
     fitted = cut(train, config.segments, rows, warm_up, "training")
     count = len(fitted.measured)
-    blocks = count * ((rows - warm_up) // round(config.block_s * RATE_HZ))
+    blocks = count * ((rows - warm_up) // round(BLOCK_S * RATE_HZ))
     # The jackknife needs several blocks per parameter for its standard errors.
     if blocks < 2 * len(parameters):
         raise LogError(
-            f"training logs: {count} segments contain {blocks} blocks of {config.block_s:g} s; "
+            f"training logs: {count} segments contain {blocks} blocks of {BLOCK_S:g} s; "
             f"{len(parameters)} parameters need at least {2 * len(parameters)}; record more, raise "
             "`segments` or `segment_s`, or fit fewer parameters"
         )
@@ -136,22 +143,20 @@ def calibrate_tank(
     """Fit a tank to the training logs; resume from the checkpoint in `run_directory`, if any."""
     tell = progress or silent
     space, fitted, unseen = prepared(config, train, test)
-    weights = np.array([getattr(config.weights, channel) for channel in FITTED_CHANNELS])
-    weights /= weights.sum()
-    coarse = {"fin": {"plates": config.search_plates}, "steps_per_tick": config.search_steps}
-    rough = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording)
-    errors = rough.errors(fitted, config.population)
-    generations = -(-config.evaluations // config.population)
+    coarse = config.tank.merged(SEARCH_TANK, "calibration")
+    rough = Space(space.parameters, coarse, config.recording)
+    errors = rough.errors(fitted, POPULATION)
+    generations = -(-config.evaluations // POPULATION)
     done = 0
     # NaN marks tanks that have not been simulated yet.
-    losses = np.full((generations, config.population), np.nan, np.float32)
+    losses = np.full((generations, POPULATION), np.nan, np.float32)
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
         losses = np.asarray(resumed[0])
         done = resumed[1]["generation"]
     record = run_directory.log(rewind_to=done)
 
     def loss(points: Sequence[CalibrationPoint]) -> Float[np.ndarray, "population"]:
-        return np.asarray(misfits(errors, points) @ weights, np.float32)
+        return np.asarray(misfits(errors, points).mean(axis=1), np.float32)
 
     def searched(generation: int, losses: Losses) -> None:
         # The checkpoint contains only losses: `search` recomputes the state of CMA-ES from them.
@@ -165,11 +170,9 @@ def calibrate_tank(
     def polished(iteration: int, loss: float) -> None:
         tell("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
 
-    linear = polish(
-        space.errors(fitted, config.population), point, weights, config.iterations, polished
-    )
+    linear = polish(space.errors(fitted, POPULATION), point, config.iterations, polished)
     polished(config.iterations, linear.loss)
-    found = determination(linear, round(config.block_s * RATE_HZ), space.parameters)
+    found = determination(linear, round(BLOCK_S * RATE_HZ), space.parameters)
     return Calibration(*space.configs(linear.point), found, fitted, unseen)
 
 

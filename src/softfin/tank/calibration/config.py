@@ -17,7 +17,6 @@ from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.data.excitation import ExcitationConfig
 from softfin.tank import TankConfig
 
 CalibrationRange = tuple[float, float]
@@ -26,6 +25,9 @@ Ranges = dict[str, dict[str, CalibrationRange | None]]
 
 CalibrationPoint = Float[np.ndarray, "parameters"]
 """Scaled coordinates of the parameters, 0 to 1."""
+
+BLOCK_S = 2.0
+"""Length of the time blocks whose errors are assumed independent in the standard errors."""
 
 FREE: dict[str, CalibrationRange] = {
     "drive.acceleration_rad_s2": (5.0, 500.0),
@@ -179,23 +181,6 @@ def _by_full_name(ranges: Ranges) -> dict[str, CalibrationRange | None]:
     return found
 
 
-class Weights(Configuration):
-    """Relative weights of the channels in the loss."""
-
-    angle: float = Field(1.0, ge=0)
-    """Weight of 1 - R2 of the shaft's angle."""
-    force_x: float = Field(1.0, ge=0)
-    """Weight of 1 - R2 of the force along x."""
-    force_y: float = Field(1.0, ge=0)
-    """Weight of 1 - R2 of the force along y."""
-
-    @model_validator(mode="after")
-    def _some(self) -> "Weights":
-        if self.angle + self.force_x + self.force_y == 0:
-            raise ValueError("at least one channel must have a weight greater than 0")
-        return self
-
-
 class CalibrateConfig(Configuration):
     """Configuration of a calibration."""
 
@@ -205,18 +190,10 @@ class CalibrateConfig(Configuration):
     """Initial tank; it also contains the values that are not fitted."""
     recording: RecordingConfig = RecordingConfig()
     """Initial recording; it also contains the values that are not fitted."""
-    weights: Weights = Weights()
-    """Weights of the channels in the loss."""
     evaluations: int = Field(4000, ge=0)
     """Number of tanks simulated in the global search (CMA-ES); 0 for a local search only."""
-    population: int = Field(16, ge=4)
-    """Number of tanks per generation, which are simulated together."""
     step: float = Field(0.1, gt=0, le=1)
     """Standard deviation of the first generation, as a fraction of each range."""
-    search_plates: int = Field(4, ge=1, le=32)
-    """Number of fin plates in the global search; the local search uses that of `tank`."""
-    search_steps: int = Field(1, ge=1)
-    """Time steps per tick in the global search; the local search uses those of `tank`."""
     iterations: int = Field(12, ge=1)
     """Maximum number of steps of the local search (trust region). It ends earlier if a step
     improves the loss by less than 1e-6 of its value."""
@@ -229,12 +206,9 @@ class CalibrateConfig(Configuration):
     warm_up_s: float = Field(2.0, ge=0)
     """Part of each segment that is simulated but not compared [s]; must be longer than a stroke,
     because the simulation starts at rest and the log may start mid-stroke."""
-    block_s: float = Field(2.0, ge=0.01)
-    """Length of the time blocks whose errors are assumed independent in the standard errors [s]."""
-    excitation: ExcitationConfig = ExcitationConfig()
-    """Excitation for a plant; logs contain their own commands."""
     velocity_rad_s: CalibrationRange | None = None
-    """Range of the commanded velocities in the excitation [rad/s]; null for the plant's limits."""
+    """Range of the velocities that a plant is commanded [rad/s]; null for its limits. Logs contain
+    their own commands."""
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -252,8 +226,12 @@ class CalibrateConfig(Configuration):
 
     @model_validator(mode="after")
     def _long_enough(self) -> "CalibrateConfig":
-        if self.segment_s < self.warm_up_s + self.block_s:
-            raise ValueError(f"segment_s = {self.segment_s:g} must be at least warm_up_s + block_s")
+        shortest_s = self.warm_up_s + BLOCK_S
+        if self.segment_s < shortest_s:
+            raise ValueError(
+                f"segment_s = {self.segment_s:g} must be at least warm_up_s + {BLOCK_S:g} = "
+                f"{shortest_s:g}"
+            )
         return self
 
 

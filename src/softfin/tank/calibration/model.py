@@ -25,6 +25,7 @@ from softfin.core.plant import Plant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import RATE_HZ, Command, Limits, Log
 from softfin.core.randomness import named_key
+from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
@@ -153,7 +154,7 @@ def _of_plant(
         keys = [named_key(seed, f"calibrate/{part}/{index}") for index in range(count)]
         rows = round(config.segment_s * RATE_HZ) + 1
         return list(
-            simulate([within] * count, keys, rows, config.excitation, count, lambda done: None)
+            simulate([within] * count, keys, rows, ExcitationConfig(), count, lambda done: None)
         )
 
     train = excited("train", config.segments)

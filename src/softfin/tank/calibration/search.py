@@ -29,8 +29,6 @@ from softfin.tank.calibration.model import Errors
 
 Losses = Float[np.ndarray, "generations population"]
 ResidualLoss = Callable[[Sequence[CalibrationPoint]], Float[np.ndarray, "population"]]
-ChannelWeights = Float[np.ndarray, "channels"]
-"""Weights of the channels, with a sum of 1."""
 
 FAILED = 1e3
 """Loss of a tank whose readings are not finite; higher than any other loss."""
@@ -104,13 +102,13 @@ class Linear(NamedTuple):
 
     point: CalibrationPoint
     residuals: Float[np.ndarray, "segments compared channels"]
-    """Errors, weighted so that the sum of their squares is the loss."""
+    """Errors, scaled so that the sum of their squares is the loss."""
     jacobian: Float[np.ndarray, "parameters segments compared channels"]
     """Derivatives of the residuals with respect to the scaled coordinates."""
 
     @property
     def loss(self) -> float:
-        """Weighted mean of 1 - R2 over the channels."""
+        """Mean of 1 - R2 over the channels."""
         return float(np.square(self.residuals, dtype=np.float64).sum())
 
     def normal(
@@ -121,14 +119,14 @@ class Linear(NamedTuple):
         return flat @ flat.T, flat @ self.residuals.reshape(-1).astype(np.float64)
 
 
-def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights) -> Linear:
+def linearised(errors: Errors, point: CalibrationPoint) -> Linear:
     """Return the linear model around a point, from central differences inside the box and one-sided
     differences on its faces."""
     steps = DIFFERENCE * np.eye(len(point))
     up = np.clip(point + steps, 0.0, 1.0)
     down = np.clip(point - steps, 0.0, 1.0)
     middle, *sides = errors([point, *up, *down])
-    scale = _scale(middle, weights)
+    scale = _scale(middle)
     highs = np.stack(sides[: len(point)])
     lows = np.stack(sides[len(point) :])
     widths = (up - down).sum(axis=1).astype(np.float32)[:, None, None, None]
@@ -138,7 +136,6 @@ def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights)
 def polish(
     errors: Errors,
     start: CalibrationPoint,
-    weights: ChannelWeights,
     iterations: int,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
 ) -> Linear:
@@ -147,7 +144,6 @@ def polish(
     Args:
         errors: Function that simulates points.
         start: Initial point.
-        weights: Weights of the channels.
         iterations: Maximum number of steps.
         report: Function called after each step with its number and the lowest loss so far.
     """
@@ -155,16 +151,16 @@ def polish(
 
     def residuals(point: CalibrationPoint) -> Float[np.ndarray, "samples"]:
         found = next(iter(errors([point])))
-        weighted = (found * _scale(found, weights)).reshape(-1).astype(np.float64)
-        tried.append(float(weighted @ weighted))
+        scaled = (found * _scale(found)).reshape(-1).astype(np.float64)
+        tried.append(float(scaled @ scaled))
         if len(tried) > 1:
             report(min(len(tried) - 1, iterations), float(np.nanmin(tried)))
-        return np.asarray(weighted)
+        return np.asarray(scaled)
 
     def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
         # A neighbour of a tank with finite readings may itself have non-finite ones.
         jacobian = np.nan_to_num(
-            linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
+            linearised(errors, point).jacobian, nan=0.0, posinf=0.0, neginf=0.0
         )
         return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
@@ -180,12 +176,12 @@ def polish(
         xtol=1e-8,
         max_nfev=iterations + 1,
     )
-    return linearised(errors, np.asarray(found.x), weights)
+    return linearised(errors, np.asarray(found.x))
 
 
-def _scale(errors: np.ndarray, weights: ChannelWeights) -> Float[np.ndarray, "channels"]:
-    """Return sqrt(weight / samples per channel), so that the sum of squares is the loss."""
-    return np.asarray(np.sqrt(weights / (errors.size / len(weights))), np.float32)
+def _scale(errors: np.ndarray) -> np.float32:
+    """Return 1 / sqrt(samples of all channels), so that the sum of squares is the loss."""
+    return np.float32(1 / np.sqrt(errors.size))
 
 
 TRADING = 0.9

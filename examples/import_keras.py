@@ -1,10 +1,13 @@
-"""Imports Keras 2 ``.keras`` files (zip archives with the layers as JSON and the weights as HDF5)
-without TensorFlow.
+"""Converts two Keras 2 networks and their scalers to a surrogate folder, without TensorFlow:
 
-The scalers are read from a JSON file, ``{channel: {scale, offset, data_min, data_max}}``. Pickled
-scalers are not read, because loading a pickle can execute code.
+    python examples/import_keras.py POSNET.keras FORCENET.keras --scalers scalers.json --out published
+
+A ``.keras`` file is a zip archive with the layers as JSON and the weights as HDF5, which are read
+with the package h5py. The scalers are read from a JSON file, ``{channel: {scale, offset, data_min,
+data_max}}``. Pickled scalers are not read, because loading a pickle can execute code.
 """
 
+import argparse
 import io
 import json
 import zipfile
@@ -17,9 +20,10 @@ import numpy as np
 
 from softfin.core.errors import ArtifactError, SoftfinError, one_line
 from softfin.core.json_object import JsonObject
+from softfin.storage import artifact as artifacts
+from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
-from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import restored
 
 LAYERS: dict[str, tuple[Callable[[JsonObject], JsonObject], JsonObject]] = {
@@ -163,3 +167,25 @@ def _check_options(path: Path, config: JsonObject, required: JsonObject) -> None
                 f"{path}: layer {config.get('name')}: {name} = {actual} is not supported; must be "
                 f"{value}"
             )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("posnet", type=Path)
+    parser.add_argument("forcenet", type=Path)
+    parser.add_argument("--scalers", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing folder")
+    words = parser.parse_args()
+    try:
+        surrogate = read_keras_surrogate(words.posnet, words.forcenet, words.scalers)
+        sources = {name: getattr(words, name).name for name in ("posnet", "forcenet", "scalers")}
+        provenance = artifacts.provenance(imported_from=sources)
+        save_surrogate(words.out, surrogate, None, provenance, overwrite=words.overwrite)
+    except SoftfinError as error:
+        raise SystemExit(f"import_keras: {error}") from None
+    print(f"{words.out}: {surrogate.parameters():,} parameters")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Comparison of surrogates on test logs: free runs, scores and a report."""

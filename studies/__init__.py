@@ -1,0 +1,1 @@
+"""Measurements of softfin's own parts for README, docs and `results`."""
