@@ -30,7 +30,6 @@ from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
@@ -68,7 +67,6 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
-    "view": (ViewConfig(),),
     "ros2": (NodeConfig(),),
     "demo": (PRESETS["demo"],),
     "reproduce": tuple(PRESETS.values()),

@@ -48,7 +48,6 @@ TINY = {
     "evaluate --error-map": "--set error_map=2",
     "evaluate --random": "--random 4",
     "baselines": f"--config baselines.yaml --seconds 3 --repeats 1 --plant {staged.PLANT}",
-    "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",

@@ -53,7 +53,6 @@ GROUPS = {
         "train": Command("controllers", "train force controllers inside a surrogate"),
         "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
         "baselines": Command("evaluation", "evaluate baselines that need no training"),
-        "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a PNG"),
         "explore": Command("evaluation", "write an HTML page for trying controllers in a browser"),
         "export": Command("controllers", "export a controller or a surrogate to ONNX"),
     },

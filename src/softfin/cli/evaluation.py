@@ -1,9 +1,8 @@
-"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``baselines``, ``view`` and
+"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``baselines`` and
 ``explore``."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from softfin.cli.common import (
     AnyPlant,
@@ -17,7 +16,6 @@ from softfin.cli.common import (
     PlantName,
     ReferenceFile,
     Repeats,
-    folder_option,
     progress,
 )
 from softfin.core.choices import MovingReference
@@ -259,64 +257,6 @@ def baselines_table(
         rows.append([name, *(f"{mean:.{decimals}f}" for mean in means), note])
     left = [f"{name}  left out: {why}" for name, why in left_out.items()]
     return "\n".join([table_two(summaries), "", *aligned(rows, (0, 5)), *left])
-
-
-class ViewArguments(Configured):
-    """Animate a fin: its shape, the force on its mount, and traces of angle and force."""
-
-    out: File
-    """File to write: an animation (.gif), a page with a player (.html), or the last frame
-    (.png)."""
-    plant: PlantName = "tank"
-    """The fin: tank, a tank's YAML file, a surrogate's folder, or package.module:plant."""
-    seconds: float | None = None
-    """Duration [s] (default: 10)."""
-    centre: float | None = None
-    """Angle about which the gait oscillates [rad] (default: 0); use --set gait.amplitude_rad=A and
-    gait.velocity_rad_s=V for the rest."""
-    excitation: bool = False
-    """Use random commands, as in collect, instead of a gait."""
-    controller: Annotated[Path, folder_option("controller")] | None = None
-    """Folder of a controller to use instead of a gait."""
-    reference: ForcePair | None = None
-    """Reference force for the controller [N], such as --reference=1,-0.5."""
-    next_reference: tuple[ForcePair, ...] = ()
-    """Reference force to follow; all references last equally long."""
-    seed: int | None = None
-    """Seed for the plant's noise and the random commands (default: 0)."""
-
-    def __call__(self) -> None:
-        from softfin.evaluation.view.view import ViewConfig
-        from softfin.gaits.reachable import force_decimals
-        from softfin.stages.evaluation import view
-
-        centre = None if self.centre is None else {"centre_rad": self.centre}
-        config = self.configured(
-            ViewConfig(),
-            gait=centre,
-            random=self.excitation or None,
-            next_references=self.next_reference,
-        )
-        with progress() as report:
-            summary = view(
-                self.plant,
-                self.out,
-                config,
-                controller=self.controller,
-                reference=self.reference,
-                overwrite=self.overwrite,
-                progress=report,
-            )
-        x, y = summary["mean_force_n"]
-        decimals = force_decimals(max(abs(x), abs(y)))
-        frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
-        force = "true force" if summary["force"] == "true force" else "force"
-        warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
-        self.tell(
-            summary,
-            f"{self.out}: {summary['title']}; {summary['seconds']:g} s{frames}, "
-            f"mean {force} ({x:.{decimals}f}, {y:.{decimals}f}) N{warning}",
-        )
 
 
 class ExploreArguments(Common):
