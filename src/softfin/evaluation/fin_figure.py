@@ -21,6 +21,6 @@ def draw_fin(axes: Axes, shape: CentreLine, forces: Forces, scale_n: float) -> N
     axes.plot(*shape.T, color="#3E4C59", linewidth=9, solid_capstyle="round")
     for (x, y), (name, colour) in zip(forces * length / scale_n, ARROWS.items(), strict=False):
         axes.quiver(x, y, color=colour, label=name, angles="xy", scale_units="xy", scale=1)
-    axes.plot(0, 0, "o", color="white", markeredgecolor=BLACK)
+    axes.plot(0, 0, "o", color="white", markersize=9, markeredgecolor=BLACK)
     axes.set(aspect="equal", xlabel="x [m], thrust is +x", ylabel="y [m]")
     axes.axis(1.2 * length * np.array([-1, 1, -1, 1]))
