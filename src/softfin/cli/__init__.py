@@ -53,7 +53,9 @@ GROUPS = {
         "train": Command("controllers", "train force controllers inside a surrogate"),
         "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
         "baselines": Command("evaluation", "evaluate baselines that need no training"),
-        "explore": Command("evaluation", "write an HTML page for trying controllers in a browser"),
+        "explore": Command(
+            "evaluation", "write an HTML page to try controllers or to move the fin by hand"
+        ),
         "export": Command("controllers", "export a controller or a surrogate to ONNX"),
     },
     "Rig": {

@@ -260,11 +260,11 @@ def baselines_table(
 
 
 class ExploreArguments(Common):
-    """Write an HTML page for trying controllers in a browser: drag the target force and watch the
-    fin follow it. The page works offline."""
+    """Write an HTML page that shows a fin and its force in a browser: drag the target force and
+    watch a controller follow it, or move the fin by hand. The page works offline."""
 
-    controllers: tuple[ControllerFolder, ...]
-    """Controller folders."""
+    controllers: tuple[ControllerFolder, ...] = ()
+    """Controller folders (default: none, to move the fin by hand only)."""
     out: File
     """File to write (.html)."""
     plant: tuple[PlantName, ...] = ("tank",)
@@ -282,7 +282,8 @@ class ExploreArguments(Common):
         from softfin.stages.explore import explore
 
         summary = explore(self.controllers, self.out, self.plant, overwrite=self.overwrite)
-        held, moved = (", ".join(summary[name]) for name in ("controllers", "plants"))
+        held = ", ".join(summary["controllers"]) or "no controller"
+        moved = ", ".join(summary["plants"])
         self.tell(
             summary,
             f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser",
