@@ -193,7 +193,7 @@ def test_the_headline_is_of_the_best_controller_and_bounds_its_error_at_every_re
     best = headline({"controllers": {"bad": with_errors(summary, [0.1] * 6), "good": good}})
     assert best.controller == "good"
     assert best.holds
-    assert best.sentence == "The fin holds each of six forces within 0.04 N on average."
+    assert best.sentence == "The fin holds each of 6 forces within 0.04 N on average."
     corrected = headline(
         {"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}}
     )
@@ -205,7 +205,7 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
     said = headline({"controllers": {"single": missing}})
     assert not said.holds
     assert (
-        "holds four of six forces within 0.2 N on average; it misses (2, \N{MINUS SIGN}1) N by "
+        "holds 4 of 6 forces within 0.2 N on average; it misses (2, \N{MINUS SIGN}1) N by "
         "0.30 N" in said.sentence
     )
     missing["references"][3]["still"] = True
@@ -226,7 +226,7 @@ def test_the_page_begins_with_the_headline(page):
     assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
     assert (
         "does not move at some of the target forces" in page.words
-        or "of six forces within" in page.words
+        or "of 6 forces within" in page.words
     )
     assert "window" in page.words.partition("Definitions")[0]
 
