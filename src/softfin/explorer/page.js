@@ -16,8 +16,9 @@ const WRITE_MS = 400;
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still, ...hand.first };
 const byHand = () => controllers[chosen.controller] === hand;
+/* Limits of the sliders, which move in hundredths; those of the angle are rounded, so that it can be 0. */
 const SLIDERS = {
-  angle: [hand.limits.angle_min_rad, hand.limits.angle_max_rad],
+  angle: [Math.ceil(100 * hand.limits.angle_min_rad) / 100, Math.floor(100 * hand.limits.angle_max_rad) / 100],
   stroke: [0, (hand.limits.angle_max_rad - hand.limits.angle_min_rad) / 2],
   velocity: [hand.limits.velocity_min_rad_s, hand.limits.velocity_max_rad_s],
 };
@@ -30,11 +31,11 @@ function watch(what) {
   watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
 }
 
-const take = () => (byHand() ? new Hand(hand) : new Controller(controllers[chosen.controller]));
+const newController = () => (byHand() ? new Hand(hand) : new Controller(controllers[chosen.controller]));
 
 function begin() {
   const made = Object.fromEntries(plants.map((each, index) => [index, new makers[each.kind](each)]));
-  loop = new Loop(made, String(chosen.plant), take(), [chosen.x, chosen.y]);
+  loop = new Loop(made, String(chosen.plant), newController(), [chosen.x, chosen.y]);
   pushed = -Infinity;
   applied = "";
   apply();
@@ -42,7 +43,7 @@ function begin() {
 
 /* Have the loop do what is chosen, the controls show it, and the address hold it. */
 function apply() {
-  if (controllers[chosen.controller] !== loop.controller.description) loop.change(take());
+  if (controllers[chosen.controller] !== loop.controller.description) loop.change(newController());
   if (byHand()) for (const name of Object.keys(SLIDERS)) loop.controller[name] = chosen[name];
   else if (chosen.trim !== (loop.controller.observer !== null)) loop.controller.trim(chosen.trim, loop.action);
   loop.plant = String(chosen.plant);
@@ -148,10 +149,10 @@ const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
 
 /* Its mean force and interval, and of the last window the greatest distance of its motion from its training data and the
- * part of the time beyond them; null without one. */
+ * part of the time beyond them; null without one, or before a whole window. */
 function prediction() {
   const index = predictor();
-  if (index < 0 || loop.time === 0) return null;
+  if (index < 0 || loop.time < WINDOW) return null;
   const plant = loop.plants[index], means = loop.memberAverages[index].map((window) => window.mean()), distances = loop.distances[index];
   const half = [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis])));
   return { mean: loop.averages[index].mean(), half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
@@ -160,10 +161,12 @@ function prediction() {
 function tell(predicted) {
   const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
   const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
-  show("mean", loop.time ? average.mean() : none);
-  show("error", loop.time ? loop.error() : none, decimals + 1);
+  // A mean over less than a window would be called what it is not.
+  const full = loop.time >= WINDOW;
+  show("mean", full ? average.mean() : none);
+  show("error", full ? loop.error() : none, decimals + 1);
   show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
-  show("sobolev", loop.time ? average.sobolev() : none);
+  show("sobolev", full ? average.sobolev() : none);
   if (predictor() >= 0) {
     element("predictor").textContent = `mean in ${plants[predictor()].name}`;
     element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
