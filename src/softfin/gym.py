@@ -155,7 +155,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         # Matplotlib's canvas has no type annotations.
         canvas: Any = FigureCanvasAgg(figure)
         axes = figure.subplots()
-        draw_fin(axes, np.asarray(shape), forces, 2 * self._greatest_n)
+        draw_fin(axes, np.asarray(shape), forces, 3 * self._greatest_n)
         axes.legend(loc="lower left")
         canvas.draw()
         return np.array(canvas.buffer_rgba())[..., :3]

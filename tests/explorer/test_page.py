@@ -91,7 +91,7 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path
     out = tmp_path / "explore.html"
     with pytest.raises(ConfigurationError, match="gaits: contains duplicates; name each once"):
         explore([folder / "gaits", folder / "gaits"], out)
-    with pytest.raises(ConfigurationError, match="at least one is required"):
+    with pytest.raises(ConfigurationError, match="plants: none given; name at least one"):
         explore([folder / "gaits"], out, [])
     with pytest.raises(PlantError, match="cannot run in the page"):
         explore([folder / "gaits"], out, ["tests.plants:AnalyticFin"])

@@ -40,7 +40,7 @@ def explore(
     moving = {name: find_plant(name) for name in plants}
     holding = {str(path): load_controller(path) for path in controllers}
     if not plants:
-        raise ConfigurationError("plants: at least one is required")
+        raise ConfigurationError("plants: none given; name at least one")
     _check_distinct(plants)
     _check_distinct(controllers)
     data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
