@@ -161,7 +161,7 @@ function prediction() {
 function tell(predicted) {
   const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
   const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
-  // A mean over less than a window would be called what it is not.
+  // Before the first window is full, there is no mean over a window.
   const full = loop.time >= WINDOW;
   show("mean", full ? average.mean() : none);
   show("error", full ? loop.error() : none, decimals + 1);
