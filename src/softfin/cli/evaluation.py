@@ -264,7 +264,8 @@ class ExploreArguments(Common):
     watch a controller follow it, or move the fin by hand. The page works offline."""
 
     controllers: tuple[ControllerFolder, ...] = ()
-    """Controller folders (default: none, to move the fin by hand only)."""
+    """Controller folders (default: none, to move the fin by hand only). For a surrogate, use
+    --plant."""
     out: File
     """File to write (.html)."""
     plant: tuple[PlantName, ...] = ("tank",)
