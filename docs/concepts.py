@@ -1,7 +1,7 @@
-"""Draws the figures of the concepts, by their names:
+"""Draws the first figure of the README and the figures of the concepts, by their names:
 
-    python docs/concepts.py docs/concept-frame.png docs/concept-plant.png docs/concept-window.png \
-        docs/concept-gait.png docs/concept-map.png docs/concept-trim.png
+    python docs/concepts.py docs/fin.png docs/concept-frame.png docs/concept-plant.png \
+        docs/concept-window.png docs/concept-gait.png docs/concept-map.png docs/concept-trim.png
 """
 
 import sys
@@ -23,6 +23,7 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import hold
 from softfin.core.quantities import RATE_HZ, Command, action_to_command
+from softfin.evaluation.fin_figure import draw_fin
 from softfin.gaits.force_map import load_map
 from softfin.storage.figures import (
     BLACK,
@@ -41,6 +42,8 @@ CENTRE_RAD = 0.3
 SWING_RAD = 0.5
 VELOCITY_RAD_S = 2.8
 ACTIONS = 15
+SHOWN_TICK = 451
+FAINT_TICKS = (24, 18, 12, 6)
 WIDTH_IN = 7.2
 COLOURS = 64
 RED = "#D55E00"
@@ -74,6 +77,56 @@ def without_axes(axes: Any) -> None:
     axes.grid(visible=False)
 
 
+def fin(figure: Figure) -> None:
+    """The fin in the tank under the gait of the example for a target force, and its traces."""
+    target_n = np.array([2.0, -1.0])
+    gaits = load_controller(EXAMPLE / "gaits")
+    memory = gaits.init()
+    commands = []
+    for ticks in np.resize(PAPER_CLOCK.ticks, ACTIONS):
+        # Gaits use no measurements.
+        memory, command = gaits.act(memory, Measured(0.0, np.zeros(2)), target_n)
+        commands += [command] * ticks
+    tank = Tank()
+
+    def tick(state: Any, command: Command) -> Any:
+        state, reading = tank.advance(state, command, 1)
+        return state, (reading.angle[0], tank.true_force(state), tank.shape(state))
+
+    def beat_fin() -> Any:
+        columns = np.transpose(commands).astype(np.float32)
+        return jax.lax.scan(tick, tank.init(jax.random.key(0)), Command(*jnp.asarray(columns)))[1]
+
+    angle, force_n, shape = jax.tree.map(np.asarray, jax.jit(beat_fin)())
+    window = PAPER_CLOCK.window_ticks
+    mean_n = np.stack([mean_force(force_n[:, axis]) for axis in (0, 1)], axis=1)
+    figure.set_size_inches(9.6, 4.8)
+    grid = figure.add_gridspec(3, 2)
+    water = figure.add_subplot(grid[:, 0])
+    for age in FAINT_TICKS:
+        faint = shape[SHOWN_TICK - age]
+        water.plot(*faint.T, color=GREY, alpha=0.2, linewidth=9, solid_capstyle="round")
+    forces_n = np.stack([force_n[SHOWN_TICK], mean_n[SHOWN_TICK - window + 1], target_n])
+    draw_fin(water, shape[SHOWN_TICK], forces_n, scale_n=10.0)
+    water.set_title("A soft fin in the virtual tank", weight="bold")
+    water.legend(loc="lower left")
+    time = (np.arange(len(angle)) + 1) / RATE_HZ
+    panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
+    panels[0].plot(time, angle, color=BLUE)
+    panels[0].set_ylabel("angle [rad]")
+    for axis, axes in enumerate(panels[1:]):
+        axes.plot(time, force_n[:, axis], color=BLUE, linewidth=0.9)
+        axes.plot(time[window - 1 :], mean_n[:, axis], color=BLACK, linewidth=2)
+        axes.axhline(target_n[axis], color=ORANGE, linewidth=1.6, zorder=1.9)
+        axes.set_ylabel(f"force {'xy'[axis]} [N]")
+    for axes in panels:
+        axes.axvline(time[SHOWN_TICK], color=BLACK, linewidth=0.9)
+        axes.set_xlim(0, time[-1])
+        axes.tick_params(labelbottom=axes is panels[-1])
+    panels[-1].set_xlabel("time [s]; black: mean over the last 2 s")
+    figure.align_ylabels(panels)
+
+
 def frame(figure: Figure) -> None:
     """The robot's body, the shaft, the bent fin at an angle, and the directions of force."""
     tank = Tank()
@@ -96,7 +149,7 @@ def frame(figure: Figure) -> None:
     rigid = 0.2 * np.array([-np.cos(angle_rad), np.sin(angle_rad)])
     axes.plot([0, rigid[0]], [0, rigid[1]], "--", color=GREY, linewidth=1)
     axes.text(rigid[0] + 0.012, rigid[1] - 0.005, "a rigid fin", color=GREY, ha="left")
-    axes.plot(*np.asarray(tank.shape(bent)).T, color="#3E4C59", linewidth=9, solid_capstyle="round")
+    draw_fin(axes, np.asarray(tank.shape(bent)), np.zeros((0, 2)), 1.0)
     turn = np.linspace(0, angle_rad, 30)
     axes.plot(-0.12 * np.cos(turn), 0.12 * np.sin(turn), color=ORANGE, linewidth=1.5)
     axes.text(-0.135, 0.03, "angle θ\n(of the shaft)", color=RED, ha="right", va="center")
@@ -107,9 +160,8 @@ def frame(figure: Figure) -> None:
             "", tip, (0, 0), arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 2}
         )
         axes.text(*place, name, color=BLUE, va="center")
-    axes.plot(0, 0, "o", markersize=9, markerfacecolor="white", markeredgecolor=BLACK)
     axes.text(0.0, -0.03, "shaft and\nforce sensor", ha="center", va="top", fontsize=8)
-    axes.set(xlim=(-0.25, 0.2), ylim=(-0.15, 0.17), aspect="equal")
+    axes.set(xlim=(-0.25, 0.2), ylim=(-0.15, 0.17), xlabel="", ylabel="")
     without_axes(axes)
 
 
@@ -358,27 +410,25 @@ def trim(figure: Figure) -> None:
 
 
 FIGURES = {
-    "frame": frame,
-    "plant": plant,
-    "window": window,
-    "gait": gait,
-    "map": force_map,
-    "trim": trim,
+    "fin": fin,
+    "concept-frame": frame,
+    "concept-plant": plant,
+    "concept-window": window,
+    "concept-gait": gait,
+    "concept-map": force_map,
+    "concept-trim": trim,
 }
 
 
 def main(paths: list[Path]) -> None:
     """Draw each figure that is named, with few colours, so that its file is small."""
     for path in paths:
-        name = path.stem.removeprefix("concept-")
-        if name not in FIGURES or path.suffix != ".png":
-            sys.exit(
-                f"{path}: no such figure; there are "
-                f"{', '.join(f'concept-{each}.png' for each in FIGURES)}"
-            )
+        if path.stem not in FIGURES or path.suffix != ".png":
+            names = ", ".join(f"{name}.png" for name in FIGURES)
+            sys.exit(f"{path}: no such figure; there are {names}")
         with styled():
             figure = new_figure(WIDTH_IN, 4)
-            FIGURES[name](figure)
+            FIGURES[path.stem](figure)
         save_figure(figure, path.parent, path.stem, ("png",))
         image = Image.open(path).convert("RGB")
         image.quantize(COLOURS).save(path, optimize=True)

@@ -157,7 +157,7 @@ Trained already, small, and of softfin's virtual tank, not of a real fin.
 Try them:
 
     softfin evaluate single --plant tank --reference=2,-1 --repeats 1 --out evaluation
-    softfin view --controller single --plant tank --reference=2,-1 --out fin.html
+    softfin explore single --plant tank --plant surrogate --out explore.html
     softfin rig emulate && softfin rig check --prove --arm && softfin rig zero --arm
     softfin run single --reference=2,-1 --seconds 10 --arm
     softfin import-logs recordings --out dataset

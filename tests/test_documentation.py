@@ -29,7 +29,6 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
@@ -64,7 +63,6 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "robot view": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
-    "view": (ViewConfig(),),
     "ros2": (NodeConfig(),),
     "demo": (PRESETS["demo"],),
     "reproduce": tuple(PRESETS.values()),

@@ -46,7 +46,6 @@ TINY = {
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
     "evaluate --random": "--random 4",
-    "view": "--seconds 0.5 --plant tank.yaml",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",

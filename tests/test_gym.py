@@ -8,9 +8,11 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from matplotlib.axes import Axes
 
 from softfin.core.errors import InputError, PlantError
 from softfin.core.gym_registration import ID, register
+from softfin.evaluation import fin_figure
 from softfin.gaits.reachable import Cell
 from softfin.gym import ForceTrackingEnv
 from softfin.tank import Tank
@@ -72,26 +74,52 @@ def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(
 
     first = frames()
     second = frames()
-    assert {(frame.shape, frame.dtype) for frame in first} == {((520, 960, 3), np.dtype(np.uint8))}
+    assert {(frame.shape, frame.dtype) for frame in first} == {((480, 480, 3), np.dtype(np.uint8))}
     assert all((before != after).any() for before, after in itertools.pairwise(first))
-    # The first episode may have changed the scale, which stays.
-    np.testing.assert_array_equal(first[-1], second[-1])
+    np.testing.assert_array_equal(first, second)
     assert shown.metadata["render_fps"] == 3
 
 
-def test_what_is_drawn_is_what_the_task_has_seen(shown: gymnasium.Env) -> None:
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """Receives what is drawn: the fin's centre line and the forces."""
+    received: list[np.ndarray] = []
+    draw_fin = fin_figure.draw_fin
+
+    def draw(axes: Axes, shape: np.ndarray, forces: np.ndarray, scale_n: float) -> None:
+        received[:] = [shape, forces]
+        draw_fin(axes, shape, forces, scale_n)
+
+    monkeypatch.setattr(fin_figure, "draw_fin", draw)
+    return received
+
+
+def test_the_last_force_its_mean_and_the_reference_are_drawn(
+    shown: gymnasium.Env, drawn: list[np.ndarray]
+) -> None:
     _, info = shown.reset(seed=1)
-    asked = info["reference_n"]
-    forces = [
-        shown.step(np.array([0.4 * (-1) ** k, 0.8], np.float32))[-1]["force_n"] for k in range(4)
-    ]
-    shown.render()
-    footage = shown.unwrapped._film._picture.footage
-    np.testing.assert_allclose(footage.reading.force, np.concatenate(forces), atol=1e-4)
-    np.testing.assert_allclose(footage.reference, np.tile(asked, (133, 1)))
-    assert footage.command.angle[[0, 32, 33, 132]] == pytest.approx(
-        np.pi / 2 * np.array([0.4, 0.4, -0.4, -0.4]), rel=1e-4
-    )
+    readings = []
+    for k in range(8):
+        readings.append(shown.step(np.array([0.4 * (-1) ** k, 0.8], np.float32))[-1]["force_n"])
+        if k in (1, 7):
+            shown.render()
+            forces = np.concatenate(readings)
+            shape, arrows = drawn
+            expected = [forces[-1], forces[-200:].mean(axis=0), info["reference_n"]]
+            np.testing.assert_allclose(arrows, expected, atol=1e-4)
+            # This plant computes no shape: at positive angles the fin points towards +y.
+            assert np.sign(shape[1, 1]) == (-1) ** k
+            assert np.linalg.norm(shape[1]) == pytest.approx(0.2)
+
+
+def test_the_bent_fin_of_the_tank_is_drawn(drawn: list[np.ndarray]) -> None:
+    env = gymnasium.make(ID, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(np.array([0.5, 1.0], np.float32))
+    env.render()
+    tank = env.unwrapped.task.plant
+    np.testing.assert_allclose(drawn[0], tank.shape(env.unwrapped._state.plant))
+    assert len(drawn[0]) == len(tank.fin.stiffness) + 1
 
 
 def test_rendering_where_nothing_can_be_drawn_is_refused(

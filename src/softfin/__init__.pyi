@@ -7,7 +7,6 @@ from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
-from .evaluation.view.view import ViewConfig as ViewConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
@@ -17,7 +16,6 @@ from .stages.controllers import find_gaits as find_gaits
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
 from .stages.evaluation import evaluate as evaluate
-from .stages.evaluation import view as view
 from .stages.example import write_example as write_example
 from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs

@@ -17,7 +17,7 @@ from softfin.control.policy import ANGLE_SCALE_RAD
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant
-from softfin.core.quantities import action_to_command
+from softfin.core.window import window_mean
 from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
 from softfin.task.references import PAPER_RANGE, References
@@ -38,8 +38,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
 
     `plant` is a Plant or its name: tank, a tank's YAML file, a surrogate's folder or
     package.module:plant. The plant is loaded when the environment is created; create a new
-    environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin, its
-    force, the reference and the traces of the episode so far.
+    environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin with its
+    force, its mean force and the reference after the last action.
 
     The default `references` and `config` suit the paper's fin; pass others for a fin of another
     size.
@@ -63,6 +63,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self.render_mode = render_mode
         # Bounds: half a turn of the shaft, the references, the actions.
         greatest = np.abs([references.low, references.high]).max(axis=0)
+        self._greatest_n = float(greatest.max())
         actions = [1.0] * (self.task.config.observations - 3)
         high = np.array(
             [np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions],
@@ -74,15 +75,6 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
-        self._film: Any = None
-        if render_mode is not None:
-            # Imported here, because Matplotlib imports slowly and is needed only for rendering.
-            from softfin.evaluation.view.picture import EpisodeFilm
-
-            seconds = self.task.config.episode_actions / clock.rate_hz
-            self._film = EpisodeFilm(
-                self.task.plant, seconds, float(np.linalg.norm(greatest)), clock
-            )
         self._state: TaskState | None = None
         self._actions = 0
 
@@ -105,8 +97,6 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, References.of(references))
         self._actions = 0
-        if self._film is not None:
-            self._film.reset(self._state.plant, np.array(self._state.reference))
         return np.array(self._observe(self._state)), {
             "reference_n": np.array(self._state.reference)
         }
@@ -125,10 +115,6 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         durations = self.task.config.clock.ticks
         ticks = durations[self._actions % len(durations)]
         held = jnp.asarray(action, jnp.float32)
-        if self._film is not None:
-            self._film.add(
-                self._state.plant, action_to_command(self.task.plant.limits, held), ticks, reference
-            )
         self._state, outcome = self._step(self._state, held, ticks)
         self._actions += 1
         truncated = self._actions >= self.task.config.episode_actions
@@ -141,9 +127,35 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         return np.array(self._observe(self._state)), float(outcome.reward), False, truncated, info
 
     def render(self) -> Any:
-        """Return an image of the fin and the episode so far, ``(height, width, 3)`` bytes."""
-        if self._film is None or self._state is None:
+        """Return an image of the fin after the last action, ``(height, width, 3)`` bytes.
+
+        A plant that computes the fin's shape has a method ``shape(state)``, as the virtual tank
+        does; it returns the centre line from the shaft to the tip, ``(points, 2)`` [m]. For other
+        plants, the fin is a straight line of 0.2 m.
+        """
+        if self.render_mode is None or self._state is None:
             raise InputError(
                 f'{ID}: cannot render; create it with render_mode="rgb_array" and call reset first'
             )
-        return self._film.frame()
+        # Imported here, because Matplotlib imports slowly and is needed only for rendering.
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        from softfin.evaluation.fin_figure import draw_fin
+
+        plant = self.task.plant
+        state = self._state
+        # At angle 0 the fin points along -x, and at positive angles towards +y.
+        tip = 0.2 * np.array([-np.cos(state.angle), np.sin(state.angle)])
+        shape = plant.shape(state.plant) if hasattr(plant, "shape") else [np.zeros(2), tip]
+        # At first there are fewer readings than in a window.
+        mean = window_mean(state.forces, jnp.maximum(state.samples, 1))
+        forces = np.stack([state.forces[-1], mean, state.reference])
+        figure = Figure((4.8, 4.8), layout="constrained")
+        # Matplotlib's canvas has no type annotations.
+        canvas: Any = FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        draw_fin(axes, np.asarray(shape), forces, 3 * self._greatest_n)
+        axes.legend(loc="lower left")
+        canvas.draw()
+        return np.array(canvas.buffer_rgba())[..., :3]

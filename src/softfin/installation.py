@@ -13,7 +13,6 @@ EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3", "serial")
 """Optional parts of softfin, as in pyproject.toml; `learn` simulates, trains and draws."""
 
 DISTRIBUTIONS = {
-    "PIL": "pillow",
     "can": "python-can",
     "jaxlib": "jax",
     "serial": "pyserial",

@@ -42,3 +42,20 @@ def test_the_preset_is_the_one_of_the_command(
     assert asked["config"] == PRESETS[preset]
     assert asked["seed"] == (3 if "--seed" in words else 0)
     assert asked["resume"] == ("--resume" in words)
+
+
+@pytest.mark.parametrize(("command", "printed"), [("demo", False), ("reproduce", True)])
+def test_only_reproduce_prints_what_the_paper_measured(
+    command: str,
+    printed: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    parts = ("surrogate", "controllers", "trimmed", "in_surrogate")
+    results = {**dict.fromkeys(parts), "stages": [], "wall_s": {}, "peak_memory_gib": 0.0}
+    monkeypatch.setattr("softfin.stages.reproduce.reproduce", lambda *given, **options: results)
+    main((command, "--out", str(tmp_path / "run")))
+    text = capsys.readouterr().out
+    assert ("grid, mean" in text) == printed
+    assert ("measured on the real fin; do not compare" in text) == printed

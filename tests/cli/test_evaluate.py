@@ -60,6 +60,7 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
         if " step (1, -1) to (2, 0) N at 3 s " in line
     ] == ["never"]
     assert sum("sine about" in line for line in text.splitlines()) == 2
+    assert "paper" not in text
     assert (
         "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: mean "
         in text

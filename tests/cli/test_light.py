@@ -72,7 +72,6 @@ SLIPS: list[tuple[list[str], str]] = [
         "--reference-file no.csv: cannot be read",
     ),
     (["evaluate", "made", *OUT, "--reference", "one"], "--reference one: not a force"),
-    (["explore", "--out", "new.html"], "missing required CONTROLLER ...;"),
     (["explore", "no", "--out", "new.html"], "no: no such folder; it must be a controller"),
     (
         ["explore", "made", "--out", "new.pdf"],

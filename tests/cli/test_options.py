@@ -153,7 +153,7 @@ def test_help_shows_what_is_required_first_and_every_default(
     assert (
         format_help(Example, "example")
         == """\
-usage: example SOURCE MORE ... --out PATH [OPTION ...]
+usage: example SOURCE [MORE ...] --out PATH [OPTION ...]
 
 An example of a command.
 

@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_controller
 from softfin.evaluation.figures import experiments_figure
-from softfin.evaluation.report import prediction_figure, table_two_figure
+from softfin.evaluation.report import prediction_figure
 from softfin.learning.controllers import learning_figure
 from softfin.storage import figures as style
 from softfin.storage.figures import inline_svg, save_figure
@@ -66,26 +66,6 @@ def test_an_angle_beyond_90_degrees_is_still_drawn():
     assert np.degrees(np.abs(far.recording.reading.angle).max()) <= polar.get_thetamax()
 
 
-def test_bars_stand_beside_the_papers_with_their_intervals(evaluation):
-    figure = table_two_figure({"single": evaluation.summary(), "grid": evaluation.summary()})
-    above = figure.get_axes()[0]
-    bars = [container for container in above.containers if hasattr(container, "patches")]
-    assert [len(container.patches) for container in bars] == [7, 7, 7, 7]
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["single", "single, paper (real fin)", "grid", "grid, paper (real fin)"]
-    assert bars[1].patches[0].get_height() == 1.07
-    assert bars[0].errorbar is not None
-    assert bars[1].errorbar is None
-
-
-def test_bars_of_other_references_stand_alone():
-    own = score_controller(
-        Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1)
-    )
-    figure = table_two_figure({"single": own.summary(), "inverse": own.summary()})
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["single", "inverse"]
-
-
 def test_learning_curves_show_the_runs_and_their_mean_as_far_as_all_go():
     runs = {
         "grid": [([0, 100, 200], [0, 1, 2]), ([0, 200, 400], [2, 4, 6])],
@@ -120,14 +100,14 @@ def test_colours_differ_in_grey_too():
 
 def test_drawing_leaves_no_global_state(evaluation, tmp_path):
     before = dict(rcParams)
-    save_figure(table_two_figure({"single": evaluation.summary()}), tmp_path, "figure")
+    save_figure(experiments_figure(evaluation.recording), tmp_path, "figure")
     assert dict(rcParams) == before
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png"])
 def test_the_same_figure_gives_the_same_file(evaluation, tmp_path, suffix):
     for name in "ab":
-        save_figure(table_two_figure({"grid": evaluation.summary()}), tmp_path, name, (suffix,))
+        save_figure(experiments_figure(evaluation.recording), tmp_path, name, (suffix,))
     one, other = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
     assert one == other
     assert one.startswith({"svg": b"<?xml", "png": b"\x89PNG"}[suffix])
@@ -135,10 +115,10 @@ def test_the_same_figure_gives_the_same_file(evaluation, tmp_path, suffix):
 
 def test_inline_svgs_share_no_ids_and_every_link_finds_its_target(evaluation):
     figures = {
-        "bars": table_two_figure({"grid": evaluation.summary()}),
+        "traces": experiments_figure(evaluation.recording),
         "learning": learning_figure({"a": [([0, 1], [0, 1])]}, "reward"),
     }
-    figures["bars again"] = figures["bars"]
+    figures["traces again"] = figures["traces"]
     seen: set[str] = set()
     for name, figure in figures.items():
         text = inline_svg(figure, name)

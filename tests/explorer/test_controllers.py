@@ -9,11 +9,13 @@ from softfin.control.controller import Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import nearest_trackable
 from softfin.control.store import load_controller
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import CoverageError
 from softfin.core.operations import select_operations
-from softfin.core.quantities import Command
+from softfin.core.quantities import Command, Limits
 from softfin.core.window import moving_error, sobolev, window_mean
-from softfin.explorer.contents import controller_data, surrogate_data
+from softfin.explorer.contents import controller_data, hand_data, plant_data, surrogate_data
+from softfin.tank import Tank, TankConfig
 from tests.control.folders import KINDS, folder_option
 from tests.control.test_numpy import episode
 from tests.explorer import fins, node
@@ -138,6 +140,39 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
             compared += 1
             np.testing.assert_allclose(near, expected, atol=1e-4)
     assert compared > 20
+
+
+def test_a_hand_strokes_to_both_sides_within_the_limits_of_all_plants():
+    limits = [Limits(-1.5, 1.0, 1.0, 7.0), Limits(-1.2, 1.6, 2.0, 5.0)]
+    hand = hand_data(limits, PAPER_CLOCK, 1.0)
+    assert hand["limits"] == Limits(-1.2, 1.0, 2.0, 5.0).to_dict()
+    assert hand["first"] == {"angle": 0.0, "stroke": 0.5, "velocity": pytest.approx(4.5)}
+    commands = node.run(
+        """
+        const hand = new Hand(input.hand);
+        hand.angle = 0.8;
+        output = [0, 1, 2].map(() => { const { angle, velocity } = hand.act(); return [angle, velocity]; });
+        """,
+        hand=hand,
+    )
+    np.testing.assert_allclose(commands, [[1.0, 4.5], [0.3, 4.5], [1.0, 4.5]])
+
+
+def test_without_a_controller_the_size_of_a_fin_shows_in_its_peak_force():
+    """The page draws forces on this scale."""
+    peaks = []
+    for length_m in (0.187, 0.0935):
+        tank = Tank(TankConfig.build({"fin": {"length_m": length_m}}, "fin"))
+        hand = hand_data([tank.limits], PAPER_CLOCK, None)
+        peaks.append(
+            node.run(
+                "output = peakForce(new Tank(input.plant), input.hand);",
+                plant=plant_data("tank", tank),
+                hand=hand,
+            )
+        )
+    assert peaks[0] == pytest.approx(10, abs=1), "PAPER_PEAK_N in page.js"
+    assert peaks[1] < peaks[0] / 2
 
 
 @pytest.mark.parametrize("begun", [0, 1, 2])

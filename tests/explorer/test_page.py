@@ -89,8 +89,10 @@ def test_every_element_that_the_scripts_name_is_there_and_every_control_has_a_na
 
 def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path):
     out = tmp_path / "explore.html"
-    with pytest.raises(ConfigurationError, match="must be one or more, no duplicates"):
+    with pytest.raises(ConfigurationError, match="gaits: contains duplicates; name each once"):
         explore([folder / "gaits", folder / "gaits"], out)
+    with pytest.raises(ConfigurationError, match="plants: none given; name at least one"):
+        explore([folder / "gaits"], out, [])
     with pytest.raises(PlantError, match="cannot run in the page"):
         explore([folder / "gaits"], out, ["tests.plants:AnalyticFin"])
     slow = tmp_path / "slow.yaml"
@@ -106,6 +108,14 @@ def test_two_controllers_of_one_kind_are_told_apart_by_their_folders(folder, tmp
     gaits(tmp_path / "mine")
     names = explore([folder / "gaits", tmp_path / "mine"], tmp_path / "explore.html")["controllers"]
     assert names == [f"gaits ({folder / 'gaits'})", f"gaits ({tmp_path / 'mine'})"]
+
+
+@pytest.fixture(scope="module")
+def page_by_hand(folder):
+    out = folder / "by-hand.html"
+    summary = explore([], out, ["tank", str(folder / "<b>fin")])
+    assert (summary["controllers"], summary["plants"]) == ([], ["tank", "<b>fin"])
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +166,9 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     assert opened.run("element('time').textContent") == "4.0 s"
     added = np.subtract(opened.run("loop.controller.tracked"), asked(opened))
     assert np.abs(added).max() > 0.01
-    assert opened.run("element('bias').textContent") == f"Trim adds {force_text(added)} N."
+    assert (
+        opened.run("element('bias').textContent") == f"Force feedback adds {force_text(added)} N."
+    )
     assert float(opened.run("element('error-x').textContent")) == pytest.approx(
         opened.run("loop.error()[0]"), abs=1e-3
     )
@@ -364,6 +376,58 @@ def test_controllers_and_plants_are_switched_in_place(opened):
     opened.run("run(100); draw()")
     assert opened.run("loop.time") == 600
     assert opened.run("element('predicted-x').textContent === element('mean-x').textContent")
+
+
+SHOWN = """
+['aimed', 'hand'].map((name) => [...document.getElementsByClassName(name)].some((each) => each.offsetParent !== null))
+"""
+
+
+def slide(browser, name, value):
+    browser.run(
+        f"element('{name}').value = {value}; "
+        f"element('{name}').dispatchEvent(new Event('input')); undefined"
+    )
+
+
+@pytest.mark.parametrize("width", [1100, 400])
+def test_without_a_controller_a_hand_moves_the_fin_and_sees_its_force(browser, page_by_hand, width):
+    browser.complaints.clear()
+    browser.resize(width, 700)
+    browser.open(page_by_hand, "#plant=tank&paused=1")
+    assert browser.run(SHOWN) == [False, True]
+    assert browser.run("document.documentElement.scrollWidth") <= width
+    browser.run("run(600); draw()")
+    assert float(browser.run("element('mean-x').textContent")) > 0.5, "the first strokes swim"
+    slide(browser, "stroke", 0)
+    slide(browser, "angle", 0.8)
+    browser.run("run(400); draw()")
+    assert browser.run("loop.readings[0].angle") == pytest.approx(0.8, abs=0.05)
+    assert browser.run("element('angle-value').textContent") == "0.80"
+    status = browser.run("element('status').textContent")
+    assert status == "Moved by hand: 0.80 \u00b1 0.00 rad at 3.14 rad/s."
+    assert "angle=0.80&stroke=0.00&velocity=3.14" in address(browser)
+    before = browser.run("[chosen.x, chosen.y]")
+    browser.mouse("mousePressed", *middle(browser, (1, 1)))
+    browser.mouse("mouseReleased", *middle(browser, (1, 1)))
+    browser.press("ArrowRight", 39)
+    assert browser.run("[chosen.x, chosen.y]") == before, "there is no target to drag"
+    browser.run("choose({ plant: 1 }); run(100); draw()")
+    assert browser.run("loop.history.at(-1).force.every(Number.isFinite)")
+    assert browser.complaints == []
+
+
+def test_the_hand_takes_over_from_a_controller_and_gives_back(opened):
+    opened.run("run(250); choose({ controller: 2, stroke: 0.3, angle: -0.5 }); run(100); draw()")
+    assert opened.run(SHOWN) == [False, True]
+    np.testing.assert_allclose(
+        opened.run("[...new Set(loop.history.slice(-60).map((entry) => entry.command))].sort()"),
+        [-0.2, -0.8],
+    )
+    assert opened.run("loop.history.at(-1).reference.some(Number.isFinite)") is False
+    opened.run("choose({ controller: 0 }); run(100); draw()")
+    assert opened.run(SHOWN) == [True, False]
+    assert opened.run("loop.history.at(-1).reference") == asked(opened)
 
 
 def test_dark_and_light_differ_and_both_can_be_read(opened):

@@ -151,6 +151,7 @@ def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_pl
     assert re.findall(r"<option value=\"\d\">([^<]*)<", page.partition("Speed")[0]) == [
         "gaits",
         "single",
+        "by hand",
         "tank",
         "surrogate",
     ]

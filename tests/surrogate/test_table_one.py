@@ -39,7 +39,6 @@ def test_table_one_scores_each_net_in_both_units():
     row = table["posnet"]
     assert row["parameters"] == small.POSNET.parameters()
     assert (row["title"], row["unit"]) == ("PosNet, commands to angle", "rad")
-    assert table["forcenet_measured"]["published"] == "forcenet"
     # An angle range of 3.2 rad is scaled onto 0 .. 1.
     assert table["posnet"]["physical"]["rmse"] == pytest.approx(
         3.2 * table["posnet"]["scaled"]["rmse"], rel=1e-4

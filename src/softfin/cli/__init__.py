@@ -50,8 +50,9 @@ GROUPS = {
         "map": Command("controllers", "find the mean forces that a fin can produce"),
         "train": Command("controllers", "train force controllers inside a surrogate"),
         "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
-        "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a PNG"),
-        "explore": Command("evaluation", "write an HTML page for trying controllers in a browser"),
+        "explore": Command(
+            "evaluation", "write an HTML page to try controllers or to move the fin by hand"
+        ),
         "export": Command("controllers", "export a controller or a surrogate to ONNX"),
     },
     "Rig": {

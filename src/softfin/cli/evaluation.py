@@ -1,8 +1,7 @@
-"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``view`` and ``explore``."""
+"""Commands that evaluate or show the motion of a fin: ``evaluate`` and ``explore``."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from softfin.cli.common import (
     AnyPlant,
@@ -16,7 +15,6 @@ from softfin.cli.common import (
     PlantName,
     ReferenceFile,
     Repeats,
-    folder_option,
     progress,
 )
 from softfin.core.choices import MovingReference
@@ -202,70 +200,13 @@ def _pair(x: float, y: float, decimals: int) -> str:
     return f"{x:.{decimals}f}, {y:.{decimals}f}"
 
 
-class ViewArguments(Configured):
-    """Animate a fin: its shape, the force on its mount, and traces of angle and force."""
-
-    out: File
-    """File to write: an animation (.gif), a page with a player (.html), or the last frame
-    (.png)."""
-    plant: PlantName = "tank"
-    """The fin: tank, a tank's YAML file, a surrogate's folder, or package.module:plant."""
-    seconds: float | None = None
-    """Duration [s] (default: 10)."""
-    centre: float | None = None
-    """Angle about which the gait oscillates [rad] (default: 0); use --set gait.amplitude_rad=A and
-    gait.velocity_rad_s=V for the rest."""
-    excitation: bool = False
-    """Use random commands, as in collect, instead of a gait."""
-    controller: Annotated[Path, folder_option("controller")] | None = None
-    """Folder of a controller to use instead of a gait."""
-    reference: ForcePair | None = None
-    """Reference force for the controller [N], such as --reference=1,-0.5."""
-    next_reference: tuple[ForcePair, ...] = ()
-    """Reference force to follow; all references last equally long."""
-    seed: int | None = None
-    """Seed for the plant's noise and the random commands (default: 0)."""
-
-    def __call__(self) -> None:
-        from softfin.evaluation.view.view import ViewConfig
-        from softfin.gaits.reachable import force_decimals
-        from softfin.stages.evaluation import view
-
-        centre = None if self.centre is None else {"centre_rad": self.centre}
-        config = self.configured(
-            ViewConfig(),
-            gait=centre,
-            random=self.excitation or None,
-            next_references=self.next_reference,
-        )
-        with progress() as report:
-            summary = view(
-                self.plant,
-                self.out,
-                config,
-                controller=self.controller,
-                reference=self.reference,
-                overwrite=self.overwrite,
-                progress=report,
-            )
-        x, y = summary["mean_force_n"]
-        decimals = force_decimals(max(abs(x), abs(y)))
-        frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
-        force = "true force" if summary["force"] == "true force" else "force"
-        warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
-        self.tell(
-            summary,
-            f"{self.out}: {summary['title']}; {summary['seconds']:g} s{frames}, "
-            f"mean {force} ({x:.{decimals}f}, {y:.{decimals}f}) N{warning}",
-        )
-
-
 class ExploreArguments(Common):
-    """Write an HTML page for trying controllers in a browser: drag the target force and watch the
-    fin follow it. The page works offline."""
+    """Write an HTML page that shows a fin and its force in a browser: drag the target force and
+    watch a controller follow it, or move the fin by hand. The page works offline."""
 
-    controllers: tuple[ControllerFolder, ...]
-    """Controller folders."""
+    controllers: tuple[ControllerFolder, ...] = ()
+    """Controller folders (default: none, to move the fin by hand only). For a surrogate, use
+    --plant."""
     out: File
     """File to write (.html)."""
     plant: tuple[PlantName, ...] = ("tank",)
@@ -283,7 +224,8 @@ class ExploreArguments(Common):
         from softfin.stages.explore import explore
 
         summary = explore(self.controllers, self.out, self.plant, overwrite=self.overwrite)
-        held, moved = (", ".join(summary[name]) for name in ("controllers", "plants"))
+        held = ", ".join(summary["controllers"]) or "no controller"
+        moved = ", ".join(summary["plants"])
         self.tell(
             summary,
             f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser",

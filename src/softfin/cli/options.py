@@ -279,8 +279,10 @@ def format_help(command: type[Configuration], program: str) -> str:
     options.sort(key=lambda field: not field.required)
     usage = f"usage: {program}"
     for field in (*places, *options):
-        if field.required or field.option.positional:
+        if field.required:
             usage += f" {field.usage}"
+        elif field.option.positional:
+            usage += f" [{field.usage}]"
     lines = _wrap(f"{usage} [OPTION ...]", width, " " * 7)
     for paragraph in (command.__doc__ or "").split("\n\n"):
         lines += ["", *_wrap(" ".join(paragraph.split()), width)]

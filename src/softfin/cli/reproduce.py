@@ -46,11 +46,13 @@ class ReproduceArguments(Configured):
     """Continue a stopped run."""
 
     def __call__(self) -> None:
-        _run_stages(self, self.plant, self.preset)
+        from softfin.cli.tables import format_paper_tables
+
+        _run_stages(self, self.plant, self.preset, format_paper_tables())
 
 
 def _run_stages(
-    command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset
+    command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset, *notes: str
 ) -> None:
     from softfin.cli.tables import format_table_one
     from softfin.evaluation.headline import headline
@@ -79,6 +81,7 @@ def _run_stages(
     for title, summaries in evaluated.items():
         if summaries:
             parts.append(f"{title}\n{_evaluation_tables(summaries)}")
+    parts += notes
     took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
     processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
     parts.append(

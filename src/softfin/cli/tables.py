@@ -7,9 +7,10 @@ from typing import Any
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds
-from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
+from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
 from softfin.evaluation.results import EvaluationSummary, MeanScores
-from softfin.surrogate.table_one import PAPER_TABLE_I
+
+TABLE_TWO_TITLES = ("x error", "x std", "y error", "y std")
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
@@ -27,7 +28,7 @@ def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> lis
 
 
 def format_table_one(scores: JsonObject | None) -> str:
-    """Return Table I in physical and scaled units, next to the paper's."""
+    """Return Table I in physical and scaled units."""
     if scores is None:
         return "no test logs: Table I has no rows"
     rows: list[list[object]] = [["Table I", "window", "parameters", "", "RMSE", "MAE", "DTW"]]
@@ -38,25 +39,19 @@ def format_table_one(scores: JsonObject | None) -> str:
             errors = row[unit]
             scored = (errors["rmse"], errors["mae"], errors["dtw_mae"])
             rows.append([*label, measure, *map("{:.4f}".format, scored)])
-    for name, row in PAPER_TABLE_I.items():
-        size = f"{row['parameters']:,}"
-        scaled = [row["rmse"], row["mae"], row["dtw"]]
-        rows.append([f"the paper, {name}", row["window"], size, "no unit", *scaled])
     return "\n".join(aligned(rows))
 
 
 def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
-    """Return Table II: error and std of the 200-sample moving average, next to the paper's.
+    """Return Table II: error and std of the 200-sample moving average.
 
     Each error is followed by half of its 95% interval over the seeds, or by the values of two
     seeds.
     """
-    titles = ("x error", "x std", "y error", "y std")
     lines = []
     for name, summary in controllers.items():
-        paper = PAPER_TABLE_II.get(name, {})
         decimals = error_decimals(summary)
-        rows = [[f"Table II, {name}", *titles, *(("paper: x error", *titles[1:]) if paper else ())]]
+        rows = [[f"Table II, {name}", *TABLE_TWO_TITLES]]
         notes = [""]
         for row in summary["references"]:
             x, y = row["reference_n"]
@@ -64,21 +59,32 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
                 [
                     f"  ({x:5.{decimals - 1}f}, {y:5.{decimals - 1}f}) N",
                     *_scores(row, decimals),
-                    *map("{:.3f}".format, paper.get((x, y), ())),
                 ]
             )
             notes.append(
                 ("  does not move" if row["still"] else "")
                 + format_reference_errors(row, decimals - 1)
             )
-        # The paper's mean only compares to a mean over the same references.
-        references = {tuple(row["reference_n"]) for row in summary["references"]}
-        complete = references == set(paper)
-        means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
-        rows.append(["  mean", *_scores(summary["mean"], decimals), *map("{:.3f}".format, means)])
+        rows.append(["  mean", *_scores(summary["mean"], decimals)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
         lines.append(f"  {describe_errors(summary)}")
     return "\n".join(lines)
+
+
+def format_paper_tables() -> str:
+    """Return the tables of the paper."""
+    titles = ["window", "parameters", "RMSE", "MAE", "DTW"]
+    networks: list[list[object]] = [["Table I of the paper", *titles]]
+    for name, row in PAPER_TABLE_I.items():
+        networks.append([f"  {name}", *row.values()])
+    errors = [["Table II of the paper", *TABLE_TWO_TITLES]]
+    for name, references in PAPER_TABLE_II.items():
+        for (x, y), scores in references.items():
+            errors.append([f"  {name}, ({x}, {y}) N", *map("{:.3f}".format, scores)])
+        means = PAPER_PRINTED_MEANS[name]
+        errors.append([f"  {name}, mean", *map("{:.3f}".format, means)])
+    note = "measured on the real fin; do not compare these errors with simulated ones"
+    return "\n".join([*aligned(networks), *aligned(errors), f"  {note}"])
 
 
 def describe_errors(summary: EvaluationSummary) -> str:

@@ -15,8 +15,6 @@ from softfin.evaluation.scores import SETTLED_N
 from softfin.gaits.reachable import force_decimals
 from softfin.storage.figures import with_minus_signs
 
-NUMBER_WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-
 
 class Headline(NamedTuple):
     """Best controller of a run, by mean error in the plant, and its outcome."""
@@ -59,13 +57,13 @@ def headline(results: RunResults) -> Headline | None:
     elif too_far:
         worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
-        held = _number_word(len(rows) - len(too_far))
+        held = len(rows) - len(too_far)
         sentence = (
-            f"The fin holds {held} of {_number_word(len(rows))} forces within {settled_n:g} N on "
-            f"average; it misses {force} N by {too_far[worst]:.{decimals}f} N"
+            f"The fin holds {held} of {len(rows)} forces within {settled_n:g} N on average; it "
+            f"misses {force} N by {too_far[worst]:.{decimals}f} N"
         )
     else:
-        forces = f"each of {_number_word(len(rows))} forces" if len(rows) > 1 else "the force"
+        forces = f"each of {len(rows)} forces" if len(rows) > 1 else "the force"
         error = max(map(greatest_error, rows))
         sentence = f"The fin holds {forces} within {within(error, decimals)} N on average"
         if plain is not None:
@@ -93,10 +91,6 @@ def _missed_references(
         if error > settled_n:
             errors[tuple(row["reference_n"])] = error
     return errors
-
-
-def _number_word(number: int) -> str:
-    return NUMBER_WORDS[number] if number < len(NUMBER_WORDS) else str(number)
 
 
 def greatest_error(row: MeanScores) -> float:

@@ -4,7 +4,7 @@ The page is self-contained and needs no network. Sections without data are omitt
 """
 
 import importlib.resources
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -14,19 +14,11 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from markupsafe import Markup
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from softfin.core.json_object import JsonObject
-from softfin.core.quantities import AXES, RATE_HZ, Axis
+from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
 from softfin.evaluation.headline import error_decimals, headline, over_seeds
-from softfin.evaluation.paper import (
-    PAPER_PRINTED_MEANS,
-    PAPER_TABLE_II,
-    PaperScores,
-    recomputed_means,
-)
 from softfin.evaluation.results import (
     AxisScores,
     EvaluationSummary,
@@ -39,23 +31,17 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
     BLACK,
     BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
     inline_svg,
     new_figure,
     styled,
     with_minus_signs,
 )
-from softfin.surrogate.table_one import PAPER_TABLE_I
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
 
 PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
-
-CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 
 
 def write_report(
@@ -91,13 +77,10 @@ def write_report(
         overview=_overview(results),
         settled=SETTLED_N if conditions is None else conditions.get("settled_n", SETTLED_N),
         intervals=has_intervals,
-        table_one=_table_one(scores),
+        table_one=list(scores.values()),
         tables_two=_tables_two(controllers),
         in_surrogate=_tables_two(results.get("in_surrogate") or {}),
         conditions=conditions,
-        table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"]
-        if controllers
-        else None,
         **{f"{part}_figures": _svgs(figures.get(part, {})) for part in PARTS},
         configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True)
         if configuration
@@ -121,7 +104,6 @@ class Cell(NamedTuple):
     decimals: int
     reading: float | None = None
     """Mean of the same score, computed from the sensor readings [N]."""
-    paper: float | None = None
 
 
 class TableRow(NamedTuple):
@@ -130,19 +112,10 @@ class TableRow(NamedTuple):
     label: str
     cells: list[Cell]
     """x error, x std, y error, y std."""
-    raw: list[Cell]
+    raw_std_n: list[float]
+    """x, y."""
     travel: float
     still: bool
-
-
-class Table(NamedTuple):
-    """Table II of one controller."""
-
-    rows: list[TableRow]
-    paper: bool
-    """Whether the paper has scores for this controller at any of these references."""
-    printed: PaperScores | None
-    """Mean as printed in the paper; None unless the references are exactly the paper's."""
 
 
 class OverviewRow(NamedTuple):
@@ -153,52 +126,27 @@ class OverviewRow(NamedTuple):
     settling: list[str | None]
 
 
-def _table_one(scores: JsonObject) -> list[JsonObject]:
-    """Return a row for each network, with the paper's scores of the same network."""
-    rows = []
-    for row in scores.values():
-        published = row["published"]
-        rows.append({**row, "paper": PAPER_TABLE_I[published] if published else None})
-    return rows
+def _tables_two(summaries: Mapping[str, EvaluationSummary]) -> dict[str, list[TableRow]]:
+    return {name: _table_two(summary) for name, summary in summaries.items()}
 
 
-def _tables_two(summaries: Mapping[str, EvaluationSummary]) -> dict[str, "Table"]:
-    return {name: _table_two(name, summary) for name, summary in summaries.items()}
-
-
-def _table_two(name: str, summary: EvaluationSummary) -> Table:
-    published = PAPER_TABLE_II.get(name, {})
+def _table_two(summary: EvaluationSummary) -> list[TableRow]:
     decimals = error_decimals(summary)
     rows = []
     for row in summary["references"]:
-        x, y = row["reference_n"]
-        still = row.get("still", False)
-        rows.append(_table_row(_force((x, y)), row, published.get((x, y)), decimals, still))
-    papers = any(row.cells[0].paper is not None for row in rows)
-    complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(published)
-    means = recomputed_means(name) if complete else None
-    rows.append(_table_row("mean", summary["mean"], means, decimals))
-    return Table(rows, papers, PAPER_PRINTED_MEANS[name] if complete else None)
+        label = _force(row["reference_n"])
+        rows.append(_table_row(label, row, decimals, row.get("still", False)))
+    rows.append(_table_row("mean", summary["mean"], decimals))
+    return rows
 
 
-def _table_row(
-    label: str,
-    row: MeanScores,
-    paper: Sequence[float] | None,
-    decimals: int,
-    still: bool = False,
-) -> TableRow:
-    # In the order of the paper's columns: x error, x std, y error, y std.
+def _table_row(label: str, row: MeanScores, decimals: int, still: bool = False) -> TableRow:
+    # In the order of the columns: x error, x std, y error, y std.
     cells = []
     for axis in AXES:
         cells += [_error_cell(row[axis], decimals), _std_cell(row[axis], decimals)]
-    if paper is not None:
-        cells = [cell._replace(paper=value) for cell, value in zip(cells, paper, strict=True)]
-    raw = [
-        Cell(scores["raw_std_n"], over_seeds(scores["raw_std_interval_n"], []), decimals)
-        for scores in (row["x"], row["y"])
-    ]
-    return TableRow(label, cells, raw, row["shaft_travel_rad_s"], still)
+    raw_std_n = [row[axis]["raw_std_n"] for axis in AXES]
+    return TableRow(label, cells, raw_std_n, row["shaft_travel_rad_s"], still)
 
 
 def _error_cell(scores: AxisScores, decimals: int) -> Cell:
@@ -248,83 +196,6 @@ def _force(reference: Iterable[float | int]) -> str:
 def _svgs(figures: Figures) -> dict[str, Markup]:
     # Safe to mark as HTML, because Matplotlib escapes all text in an SVG.
     return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
-
-
-class Bars(NamedTuple):
-    """Bars of one controller: one per reference, then the mean."""
-
-    label: str
-    error_n: list[float]
-    colour: str
-    half_n: Float[np.ndarray, "2 bars"] | None = None
-    """Lengths of the error bars, down and up [N]; None for no error bars."""
-    is_paper: bool = False
-
-    def draw(self, axes: Axes, places: Float[np.ndarray, "bars"], width: float) -> None:
-        """Draw the bars centred at `places`."""
-        axes.bar(
-            places,
-            self.error_n,
-            width,
-            yerr=self.half_n,
-            label=self.label,
-            facecolor="white" if self.is_paper else self.colour,
-            edgecolor=self.colour,
-            hatch="////" if self.is_paper else None,
-            ecolor=BLACK,
-            capsize=2,
-        )
-
-
-def _bars(name: str, summary: EvaluationSummary, axis: Axis) -> Bars:
-    scores = [row[axis] for row in (*summary["references"], summary["mean"])]
-    half = np.zeros((2, len(scores)))
-    for index, score in enumerate(scores):
-        seeds = score["error_seeds_n"]
-        # Two seeds are too few for an interval; the bar then spans their values.
-        low, high = score["error_interval_n"] or (min(seeds), max(seeds))
-        half[:, index] = score["error_n"] - low, high - score["error_n"]
-    several = len(scores[0]["error_seeds_n"]) > 1
-    errors = [score["error_n"] for score in scores]
-    colour = CONTROLLER_COLOURS.get(name, GREY)
-    return Bars(name, errors, colour, half if several else None)
-
-
-def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
-    """Draw the errors by reference for the ``evaluation.json`` of each controller, next to the
-    paper's errors if available."""
-    references: list[tuple[float, ...]] = [
-        tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]
-    ]
-    places = np.arange(len(references) + 1)
-    with styled():
-        figure = new_figure(10, 5.2)
-        for index, (axes, axis) in enumerate(
-            zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)
-        ):
-            groups = []
-            for name, summary in summaries.items():
-                bars = _bars(name, summary, axis)
-                groups.append(bars)
-                published = PAPER_TABLE_II.get(name, {})
-                if published and set(references) <= published.keys():
-                    # Each row of the paper is x error, x std, y error, y std.
-                    values = [published[x, y][2 * index] for x, y in references]
-                    errors = [*values, float(np.mean(values))]
-                    groups.append(
-                        Bars(f"{name}, paper (real fin)", errors, bars.colour, is_paper=True)
-                    )
-            # The bars of a reference are centred at its place and leave a gap to the next.
-            width = min(0.25, 0.8 / len(groups))
-            for k, bars in enumerate(groups):
-                bars.draw(axes, places + (k - (len(groups) - 1) / 2) * width, 0.92 * width)
-            axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
-            axes.grid(visible=False, axis="x")
-            axes.set_ylabel(f"error {axis} [N]")
-        axes.set_xticks(places, [*map(_force, references), "mean"])
-        axes.set_xlabel("reference force (x, y) [N]")
-        add_legend(figure, [axes], "outside upper center")
-    return figure
 
 
 def prediction_figure(

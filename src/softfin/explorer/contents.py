@@ -5,6 +5,7 @@ From these data, the page's scripts repeat the computations of `softfin.tank`,
 """
 
 import base64
+from collections.abc import Sequence
 
 import equinox as eqx
 import numpy as np
@@ -17,15 +18,19 @@ from softfin.control.disturbance_observer import (
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
+from softfin.core.action_clock import ActionClock
 from softfin.core.errors import PlantError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
-from softfin.core.quantities import AnyArray
+from softfin.core.quantities import AnyArray, Limits
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate.protocol import ExplorableSurrogate
 from softfin.surrogate.training import name_net_arrays
 from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
+
+HAND_STROKE_RAD = 0.5
+"""First stroke of the user's hand to each side of the angle [rad]; it swims forward."""
 
 COLD_C = 5.0
 """Water temperature of the page's cold-water option [degrees Celsius]."""
@@ -121,6 +126,36 @@ def controller_data(controller: LoadedController) -> JsonObject:
         "rest": list(step.rest),
         "gaits": None if step.gaits is None else _table(step.gaits),
         "switching": step.switching.model_dump(mode="json") if isinstance(step, GridStep) else None,
+    }
+
+
+def hand_data(limits: Sequence[Limits], clock: ActionClock, size: float | None) -> JsonObject:
+    """Return the data of the user's hand, which moves fins within all these limits in place of a
+    controller.
+
+    `size` is that of the controllers on the page; without one, the page finds the size of the fin
+    from its forces.
+    """
+    highest = np.max(limits, axis=0)
+    lowest = np.min(limits, axis=0)
+    common = Limits(highest[0], lowest[1], highest[2], lowest[3])
+    # A stroke to the other side takes two thirds of an action.
+    velocity = 2 * HAND_STROKE_RAD * clock.rate_hz * 1.5
+    first = {
+        "angle": common.rest_angle,
+        "stroke": HAND_STROKE_RAD,
+        "velocity": min(max(velocity, common.velocity_min), common.velocity_max),
+    }
+    return {
+        "name": "by hand",
+        "kind": "hand",
+        "limits": common.to_dict(),
+        "rest_rad": common.rest_angle,
+        "cells": [],
+        "reachable": None,
+        "clock": clock.model_dump(mode="json"),
+        "size": size,
+        "first": first,
     }
 
 

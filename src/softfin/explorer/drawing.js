@@ -3,12 +3,16 @@
 const GHOSTS = [24, 18, 12, 6], TRAIL = 300, FORCE_N = 15, MEAN_N = 4, LONGEST = 0.65, MEAN_LONGEST = 0.5;
 /* FORCE_N and MEAN_N are the longest arrows of the paper's fin. The page defines finSize. */
 
+/* Corners of the plane without a controller [N], for the paper's fin. */
+const BY_HAND = [[-1, -3], [4.5, 3]];
+
 /* A round number, without the digits that floating-point arithmetic adds. */
 const short = (value) => Number(value.toPrecision(2));
 
 /* The part of the plane that is shown [N], with room about all that can be asked for. */
 function planeRange(controllers) {
   const points = controllers.flatMap((each) => [...each.cells.flatMap((cell) => [cell.low, cell.high]), ...(each.reachable ? new Reachable(each.reachable).corners : [])]);
+  if (points.length === 0) points.push(...BY_HAND.map((corner) => corner.map((force) => force * finSize)));
   const end = (pick, axis, margin) => pick(...points.map((point) => point[axis])) + margin;
   return { low: [end(Math.min, 0, -0.25 * finSize), end(Math.min, 1, -0.25 * finSize)], high: [end(Math.max, 0, 0.25 * finSize), end(Math.max, 1, 0.25 * finSize)] };
 }
@@ -36,7 +40,7 @@ function drawPlane(canvas, range, loop, predicted) {
   pen.beginPath();
   pen.rect(scale.left, scale.top, scale.right - scale.left, scale.bottom - scale.top);
   pen.clip();
-  pen.fillStyle = colours.beyond;
+  pen.fillStyle = controller instanceof Hand ? colours.reach : colours.beyond;
   pen.fillRect(0, 0, width, height);
   pen.fillStyle = colours.reach;
   if (controller.reachable) {
@@ -75,7 +79,7 @@ function drawPlane(canvas, range, loop, predicted) {
     pen.stroke();
   }
   drawTrail(pen, place, loop);
-  drawAsked(pen, place(loop.reference));
+  drawAsked(pen, place(loop.target()));
   if (controller.observer !== null && controller.tracked !== null) drawTracked(pen, place(controller.tracked));
   if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted);
   if (loop.time > 0) drawMean(pen, place(loop.averages[loop.plant].mean()));
@@ -163,10 +167,10 @@ function drawPlaneAxes(pen, scale, axes) {
 /* The fin, faint where it was in the last quarter of a second, with the forces as arrows; at rest before the first. */
 function drawWater(canvas, loop, fin, note) {
   const { pen, width, height } = prepare(canvas), length = fin.length_m;
-  const pixels = Math.min(width / (2.1 * length), height / (2.05 * length)), origin = [width / 2 + 0.25 * length * pixels, height / 2];
+  const pixels = Math.min(width / (2.1 * length), height / (2.2 * length)), origin = [width / 2 + 0.25 * length * pixels, height / 2];
   const place = ([x, y]) => [origin[0] + pixels * x, origin[1] - pixels * y], last = loop.history.length - 1;
   const vector = ([x, y], longest, most) => [(x * longest * length * pixels) / most, (-y * longest * length * pixels) / most];
-  const rest = { angle: 0, shape: null, force: [0, 0], mean: [0, 0], reference: loop.reference };
+  const rest = { angle: 0, shape: null, force: [0, 0], mean: [0, 0], reference: loop.target() };
   pen.fillStyle = colours.fin;
   [...GHOSTS, 0].forEach((ago, i) => {
     const entry = loop.history[Math.max(last - ago, 0)] || rest, straight = [[0, 0], [-length * Math.cos(entry.angle), length * Math.sin(entry.angle)]];
@@ -193,7 +197,8 @@ function drawWater(canvas, loop, fin, note) {
   pen.textBaseline = "alphabetic";
   pen.fillText(note, 10, height - 10);
   pen.textAlign = "right";
-  for (const [colour, text, at, y] of [["measured", `force, ${short((FORCE_N * finSize) / 3)} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `${(WINDOW * TICK_S).toPrecision(2)} s mean, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 54]]) {
+  const keys = [["measured", `force, ${short((FORCE_N * finSize) / 3)} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `${(WINDOW * TICK_S).toPrecision(2)} s mean, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 54]];
+  for (const [colour, text, at, y] of Number.isFinite(reference[0]) ? keys : keys.slice(0, 2)) {
     pen.fillStyle = colours[colour];
     pen.fillRect(width - 10 - at, y - 6, at, colour === "mean" ? 2 : 4);
     pen.fillStyle = colours.text;
@@ -244,7 +249,9 @@ function drawTraces(canvas, loop) {
         const value = of(history[i]);
         if (steps && value === before && i < history.length - 1) continue;
         const at = x((offset + i + 1) * TICK_S);
-        if (steps && before !== null) pen.lineTo(at, y(before));
+        // Across a gap without a target there is no line.
+        if (steps && Number.isFinite(before)) pen.lineTo(at, y(before));
+        else if (steps) pen.moveTo(at, y(value));
         pen.lineTo(at, y(value));
         before = value;
       }

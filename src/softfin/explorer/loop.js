@@ -52,6 +52,11 @@ class Loop {
     Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
   }
 
+  /* The target force; a hand has none, and a canvas does not draw what is not a number. */
+  target() {
+    return this.controller instanceof Hand ? [NaN, NaN] : this.reference;
+  }
+
   tick() {
     if (this.left === 0) {
       const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
@@ -70,7 +75,7 @@ class Loop {
     const reading = this.readings[this.plant], force = reading.force;
     this.sum = this.sum.map((value, axis) => value + force[axis]);
     const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;
-    this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.averages[this.plant].mean(), reference: this.reference, shape });
+    this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.averages[this.plant].mean(), reference: this.target(), shape });
     if (this.history.length > KEPT) this.history.splice(0, this.history.length - KEPT);
     return reading;
   }

@@ -3,16 +3,25 @@
 const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
 useClock(controllers[0].clock);
 const plane = element("plane"), water = element("water"), traces = element("traces"), PUSH_M_S = [0, 0.6];
-/* The fin's size relative to the paper's, whose reach is 2.4 N; the steps of its forces [N], 0.01 and 0.1 N for that; decimals of forces. */
-const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
-const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
+/* The fin's size relative to the paper's, whose reach is 2.4 N, and whose force by hand peaks at 10 N; the steps of its forces [N], 0.01 and 0.1 N for that; decimals of forces. */
+const PAPER_PEAK_N = 10;
+const hand = controllers.at(-1), makers = { tank: Tank, surrogate: StreamingSurrogate };
+const finSize = controllers[0].size ?? peakForce(new makers[plants[0].kind](plants[0]), hand) / PAPER_PEAK_N, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
+const range = planeRange(controllers);
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;
 
 /* What is chosen; the address holds it behind the #. (x, y) is the force that is wished for; the loop's reference is the
  * nearest that the controller can hold. */
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still };
+const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still, ...hand.first };
+const byHand = () => controllers[chosen.controller] === hand;
+/* Limits of the sliders, which move in hundredths; those of the angle are rounded, so that it can be 0. */
+const SLIDERS = {
+  angle: [Math.ceil(100 * hand.limits.angle_min_rad) / 100, Math.floor(100 * hand.limits.angle_max_rad) / 100],
+  stroke: [0, (hand.limits.angle_max_rad - hand.limits.angle_min_rad) / 2],
+  velocity: [hand.limits.velocity_min_rad_s, hand.limits.velocity_max_rad_s],
+};
 
 let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
 
@@ -22,9 +31,11 @@ function watch(what) {
   watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
 }
 
+const newController = () => (byHand() ? new Hand(hand) : new Controller(controllers[chosen.controller]));
+
 function begin() {
   const made = Object.fromEntries(plants.map((each, index) => [index, new makers[each.kind](each)]));
-  loop = new Loop(made, String(chosen.plant), new Controller(controllers[chosen.controller]), [chosen.x, chosen.y]);
+  loop = new Loop(made, String(chosen.plant), newController(), [chosen.x, chosen.y]);
   pushed = -Infinity;
   applied = "";
   apply();
@@ -32,8 +43,9 @@ function begin() {
 
 /* Have the loop do what is chosen, the controls show it, and the address hold it. */
 function apply() {
-  if (controllers[chosen.controller] !== loop.controller.description) loop.change(new Controller(controllers[chosen.controller]));
-  if (chosen.trim !== (loop.controller.observer !== null)) loop.controller.trim(chosen.trim, loop.action);
+  if (controllers[chosen.controller] !== loop.controller.description) loop.change(newController());
+  if (byHand()) for (const name of Object.keys(SLIDERS)) loop.controller[name] = chosen[name];
+  else if (chosen.trim !== (loop.controller.observer !== null)) loop.controller.trim(chosen.trim, loop.action);
   loop.plant = String(chosen.plant);
   for (const plant of Object.values(loop.plants)) {
     if (plant instanceof Tank) [plant.stiffness, plant.cold] = [Number(chosen.fin), chosen.cold];
@@ -41,7 +53,12 @@ function apply() {
   const conditions = [chosen.controller, chosen.plant, chosen.trim, chosen.fin, chosen.cold].join();
   if (conditions !== applied) watch(applied ? "the change" : "it was asked for");
   applied = conditions;
-  ask();
+  if (!byHand()) ask();
+  document.body.classList.toggle("by-hand", byHand());
+  for (const name of Object.keys(SLIDERS)) {
+    element(name).value = String(chosen[name]);
+    element(`${name}-value`).textContent = numeral(chosen[name], 2);
+  }
   for (const name of ["controller", "plant", "speed", "fin"]) element(name).value = String(chosen[name]);
   for (const name of ["cold", "trim"]) element(name).setAttribute("aria-pressed", String(chosen[name]));
   element("pause").textContent = chosen.paused ? "Play" : "Pause";
@@ -49,7 +66,8 @@ function apply() {
   for (const name of ["cold", "push", "fin"]) element(name).disabled = !inTank;
   element("tank-only").hidden = inTank;
   const flags = Object.fromEntries(["cold", "trim", "paused"].map((name) => [name, Number(chosen[name])]));
-  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(decimals)},${chosen.y.toFixed(decimals)}`, speed: chosen.speed, fin: chosen.fin, ...flags });
+  const motion = Object.fromEntries(Object.keys(SLIDERS).map((name) => [name, chosen[name].toFixed(2)]));
+  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(decimals)},${chosen.y.toFixed(decimals)}`, speed: chosen.speed, fin: chosen.fin, ...motion, ...flags });
   element("link").href = `#${state}`;
   element("link").textContent = "Copy link";
   writeAddress();
@@ -90,6 +108,7 @@ function readAddress(address) {
   }
   const [x, y] = (state.get("reference") || "").split(",").map(Number);
   if (Number.isFinite(x) && Number.isFinite(y)) [chosen.x, chosen.y] = [x, y];
+  for (const [name, [low, high]] of Object.entries(SLIDERS)) if (Number.isFinite(parseFloat(state.get(name)))) chosen[name] = clip(parseFloat(state.get(name)), low, high);
   for (const name of ["speed", "fin"]) if ([...element(name).options].some((option) => option.value === state.get(name))) chosen[name] = state.get(name);
   for (const name of ["cold", "trim", "paused"]) if (["0", "1"].includes(state.get(name))) chosen[name] = state.get(name) === "1";
   chosen.paused ||= still;
@@ -101,7 +120,7 @@ function ask() {
   const { cells, reachable } = loop.controller, reference = nearestReference(cells, reachable, [chosen.x, chosen.y]) || loop.reference;
   if (distanceTo(reference, loop.reference) > 1e-9) watch("it was asked for");
   loop.reference = reference;
-  for (const [name, value] of [["x", chosen.x], ["y", chosen.y]]) if (document.activeElement !== element(name)) element(name).value = value.toFixed(decimals);
+  ["x", "y"].forEach((name, axis) => { if (document.activeElement !== element(name)) element(name).value = reference[axis].toFixed(decimals); });
 }
 
 function choose(changes) {
@@ -130,10 +149,10 @@ const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
 
 /* Its mean force and interval, and of the last window the greatest distance of its motion from its training data and the
- * part of the time beyond them; null without one. */
+ * part of the time beyond them; null without one, or before a whole window. */
 function prediction() {
   const index = predictor();
-  if (index < 0 || loop.time === 0) return null;
+  if (index < 0 || loop.time < WINDOW) return null;
   const plant = loop.plants[index], means = loop.memberAverages[index].map((window) => window.mean()), distances = loop.distances[index];
   const half = [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis])));
   return { mean: loop.averages[index].mean(), half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
@@ -142,10 +161,12 @@ function prediction() {
 function tell(predicted) {
   const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
   const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
-  show("mean", loop.time ? average.mean() : none);
-  show("error", loop.time ? loop.error() : none, decimals + 1);
+  // Before the first window is full, there is no mean over a window.
+  const full = loop.time >= WINDOW;
+  show("mean", full ? average.mean() : none);
+  show("error", full ? loop.error() : none, decimals + 1);
   show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
-  show("sobolev", loop.time ? average.sobolev() : none);
+  show("sobolev", full ? average.sobolev() : none);
   if (predictor() >= 0) {
     element("predictor").textContent = `mean in ${plants[predictor()].name}`;
     element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
@@ -155,12 +176,13 @@ function tell(predicted) {
   }
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
-  element("bias").textContent = controller.observer && controller.added ? `Trim adds ${forceText(controller.added)}.` : "";
+  element("bias").textContent = controller.observer && controller.added ? `Force feedback adds ${forceText(controller.added)}.` : "";
   element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
   const near = distanceTo(wish, loop.reference) > HUNDREDTH_N ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
   const yet = chosen.paused && loop.time === 0 ? "press Play" : "not held yet";
-  const status = near + (held ? `${force} held within ${short(SETTLED_N)} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
+  const moved = `Moved by hand: ${numeral(chosen.angle, 2)} \u00b1 ${chosen.stroke.toFixed(2)} rad at ${chosen.velocity.toFixed(2)} rad/s.`;
+  const status = byHand() ? moved : near + (held ? `${force} held within ${short(SETTLED_N)} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -202,7 +224,7 @@ function drag(event) {
 }
 
 plane.addEventListener("pointerdown", (event) => {
-  if (event.button !== 0 || finger !== null) return;
+  if (event.button !== 0 || finger !== null || byHand()) return;
   plane.setPointerCapture(event.pointerId);
   finger = event.pointerId;
   drag(event);
@@ -231,7 +253,7 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
-  const step = (event.shiftKey ? 50 : 10) * HUNDREDTH_N, arrow = ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
+  const step = (event.shiftKey ? 50 : 10) * HUNDREDTH_N, arrow = byHand() ? undefined : ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
   if (!arrow && (!action || (event.key === " " && event.target.matches("button, summary, a")))) return;
   event.preventDefault();
   if (arrow) choose({ x: loop.reference[0] + step * arrow[0], y: loop.reference[1] + step * arrow[1] });
@@ -246,6 +268,10 @@ for (const name of ["x", "y"]) {
   element(name).step = short(10 * HUNDREDTH_N);
   element(name).addEventListener("change", () => { if (element(name).value !== "") choose({ [name]: Number(element(name).value) }); });
   element(name).addEventListener("blur", ask);
+}
+for (const [name, [low, high]] of Object.entries(SLIDERS)) {
+  Object.assign(element(name), { min: low, max: high });
+  element(name).addEventListener("input", () => choose({ [name]: Number(element(name).value) }));
 }
 element("link").addEventListener("click", copyLink);
 addEventListener("hashchange", (event) => { readAddress(event.newURL); apply(); });

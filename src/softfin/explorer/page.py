@@ -14,7 +14,7 @@ from softfin.core.quantities import TICK_S
 from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
-SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "loop")
+SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "hand", "loop")
 """Scripts that compute, in order; they do not need a page."""
 
 DRAWN = ("drawing", "page")

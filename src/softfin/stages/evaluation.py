@@ -1,16 +1,9 @@
-"""Stages that evaluate or show a moving fin: with a controller (paper Sec. IV-B), as a video or a
-page."""
+"""Stages that evaluate a moving fin with a controller (paper Sec. IV-B)."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from softfin.control.controller import Controller
-from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, PlantError
-from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant
-from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.evaluation.evaluate import (
     EvaluateConfig,
@@ -19,11 +12,8 @@ from softfin.evaluation.evaluate import (
 )
 from softfin.evaluation.experiment import EvaluationTarget
 from softfin.evaluation.results import EvaluationSummary
-from softfin.evaluation.view.files import shown_ticks
-from softfin.evaluation.view.view import ViewConfig, draw, record_footage, view_title
 from softfin.storage import artifact as artifacts
-from softfin.storage.paths import check_view
-from softfin.storage.registry import find_plant, plant_name
+from softfin.storage.registry import find_plant
 from softfin.tank import DomainRandomization, RandomizedTank, Tank
 
 
@@ -83,64 +73,3 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
                 f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
                 "surrogate of this plant"
             )
-
-
-def _resolve(
-    controller: Controller, references: Sequence[tuple[float, float]]
-) -> tuple[list[tuple[float, float]], list[str]]:
-    """Return the references that the controller tracks, and warnings about replaced ones."""
-    forces = []
-    warnings = []
-    for asked in references:
-        force, warning = resolve_reference(controller, asked, strict=False)
-        forces.append(force)
-        if warning is not None:
-            warnings.append(warning)
-    return forces, warnings
-
-
-def view(
-    plant: str | Plant,
-    out: Path,
-    config: ViewConfig | None = None,
-    *,
-    controller: Path | None = None,
-    reference: tuple[float, float] | None = None,
-    overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Show a plant in motion as .gif, .html or .png, with a simple gait or a controller."""
-    config = config or ViewConfig()
-    check_view(out, overwrite)
-    moving = find_plant(plant)
-    if (controller is None) != (reference is None):
-        raise ConfigurationError(
-            "a controller needs a reference, and vice versa; use both or neither"
-        )
-    warnings: list[str] = []
-    loaded = None
-    if controller is not None and reference is not None:
-        if config.random:
-            raise ConfigurationError(
-                "random commands and a controller cannot be combined; use one of them"
-            )
-        loaded = load_controller(controller)
-        (reference, *following), warnings = _resolve(loaded, (reference, *config.next_references))
-        config = config.merged({"next_references": following}, "view")
-        check_limits(loaded.limits, moving.limits, controller, plant_name(plant))
-    title = view_title(plant_name(plant), config, reference)
-    progress("view", 0.0, "")
-    footage = record_footage(moving, config, loaded, reference)
-    draw(footage, out, title, config, lambda done: progress("view", done, ""))
-    return {
-        "view": str(out),
-        "title": title,
-        "seconds": config.seconds,
-        "frames": len(shown_ticks(len(footage.shape), config.frames_per_second))
-        if out.suffix == ".gif"
-        else None,
-        "mean_force_n": [round(float(force), 4) for force in footage.force.mean(axis=0)],
-        "force": "reading" if footage.true_force is None else "true force",
-        "shape_known": footage.shape_known,
-        "warning": "; ".join(warnings) or None,
-    }

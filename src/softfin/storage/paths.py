@@ -12,9 +12,6 @@ PARQUET = (".parquet",)
 DATASET_PARTS = {"train": 4, "test": 3}
 """Subfolders of a dataset, with the number of digits in the names of their logs."""
 
-VIEWS = (".gif", ".html", ".png")
-"""File formats for a view."""
-
 RIG_FILE = Path("rig.yaml")
 
 
@@ -86,12 +83,3 @@ def check_reference_file(path: Path) -> None:
     if path.suffix not in (".csv", ".parquet"):
         raise ConfigurationError(f"--reference-file {path}: must be a .csv or .parquet file")
     check_readable(path, option="--reference-file ")
-
-
-def check_view(path: Path, overwrite: bool) -> None:
-    """Raise an error unless a view can be written to `path`."""
-    if path.suffix not in VIEWS:
-        raise ConfigurationError(
-            f"--out {path}: unsupported file type; a view must be one of {', '.join(VIEWS)}"
-        )
-    artifacts.check_file(path, overwrite)

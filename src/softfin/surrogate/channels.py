@@ -48,9 +48,6 @@ class NetPrediction(NamedTuple):
     """Number of past samples in the input; None for recurrent networks."""
     parameters: int
     """Number of trainable parameters."""
-    published: str | None = None
-    """Row of the paper's Table I (``posnet`` or ``forcenet``) that has the same inputs and
-    outputs."""
 
 
 class ChannelScaling(Configuration):

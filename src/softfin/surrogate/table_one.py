@@ -21,12 +21,6 @@ from softfin.surrogate.protocol import SurrogatePlant
 DTW_BAND = 100
 """Half-width of the Sakoe-Chiba band [samples]. A lag of more than 1 s is a different motion."""
 
-PAPER_TABLE_I = {
-    "posnet": {"window": 100, "parameters": 113_601, "rmse": 0.03, "mae": 0.002, "dtw": 0.002},
-    "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
-}
-"""The paper's Table I; it does not state units or the normalisation of DTW."""
-
 Samples = Float[np.ndarray, "samples"]
 
 
@@ -76,7 +70,6 @@ def table_one(surrogate: SurrogatePlant, logs: Sequence[Log]) -> JsonObject:
         table[name] = {
             "title": prediction.title,
             "unit": "rad" if ANGLE in prediction.channels else "N",
-            "published": prediction.published,
             "window": prediction.window,
             "parameters": prediction.parameters,
         }

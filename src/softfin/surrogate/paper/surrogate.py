@@ -170,11 +170,9 @@ class Surrogate(eqx.Module):
             measured.append(self.predict_force(log, free_running=False))
             free.append(self.predict_force(log, free_running=True))
         return {
-            "posnet": NetPrediction(
-                "PosNet, commands to angle", (ANGLE,), angle, window, posnet, "posnet"
-            ),
+            "posnet": NetPrediction("PosNet, commands to angle", (ANGLE,), angle, window, posnet),
             "forcenet_measured": NetPrediction(
-                "ForceNet, given the measured angle", FORCES, measured, window, forcenet, "forcenet"
+                "ForceNet, given the measured angle", FORCES, measured, window, forcenet
             ),
             "forcenet_free_running": NetPrediction(
                 "ForceNet, free-running behind PosNet", FORCES, free, window, forcenet

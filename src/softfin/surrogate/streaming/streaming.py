@@ -186,7 +186,6 @@ class StreamingSurrogate(eqx.Module):
                 average(angle),
                 None,
                 parameters(drive),
-                "posnet",
             ),
             "force_measured": NetPrediction(
                 "Force networks, given the measured motion",
@@ -194,7 +193,6 @@ class StreamingSurrogate(eqx.Module):
                 force_given,
                 None,
                 parameters(force),
-                "forcenet",
             ),
             "force_free_running": NetPrediction(
                 "Force networks, free-running behind the drive networks",
