@@ -12,12 +12,15 @@ from softfin.cli.common import (
     Repeats,
     folder_option,
     on_terminal,
+    plant,
     progress,
 )
 from softfin.cli.options import Option
 from softfin.core.json_object import JsonObject
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
+Controllers: TypeAlias = Annotated[tuple[Path, ...], folder_option("controller", positional=True)]
+Plants: TypeAlias = Annotated[tuple[str, ...], plant()]
 
 
 class RobotCheckArguments(CommandOptions):
@@ -54,8 +57,10 @@ class RobotEvaluateArguments(Configured):
 
     robot: Robot
     """Name of a robot, or its YAML file."""
-    controller: Annotated[tuple[Path, ...], folder_option("controller", positional=True)]
+    controller: Controllers
     """Controller folder: one for all fins, or one for each fin in the order of the robot's file."""
+    plant: Plants = ("tank",)
+    """Tank in which the fins beat, or its YAML file: one for all fins, or one for each fin."""
     out: Out = Path("runs/robot")
     """Output folder."""
     max_thrust: float | None = None
@@ -80,6 +85,7 @@ class RobotEvaluateArguments(Configured):
                 self.controller,
                 self.out,
                 config,
+                plants=self.plant,
                 overwrite=self.overwrite,
                 progress=report,
             )

@@ -30,7 +30,7 @@ per fin name."""
 
 
 class FinMountConfig(Configuration):
-    """A fin's mount on the body, and the fin's plant."""
+    """A fin's mount on the body."""
 
     position_m: Three
     """Position of the shaft, where the fin's force acts [m]."""
@@ -38,8 +38,6 @@ class FinMountConfig(Configuration):
     """Unit vector of the fin's thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
     shaft_axis: Three
     """Unit vector along the shaft; positive angles follow the right-hand rule."""
-    plant: str = "tank"
-    """Tank that simulates the fin in `robot evaluate`: tank, or the YAML file of another tank."""
 
     @model_validator(mode="after")
     def _has_axes(self) -> "FinMountConfig":

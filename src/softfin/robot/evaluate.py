@@ -193,21 +193,26 @@ def fin_loads(
     """
     clock = fin.controller.clock
     actions = clock.actions_within(ticks)
-    fin_ticks = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
-    node_ticks = np.cumsum([0, *NODE_CLOCK.action_ticks(references.shape[1])])[:-1]
-    newest = np.searchsorted(node_ticks, starts[:, None] + fin_ticks, side="right") - 1
-    load = _loads(
-        fin,
-        jnp.asarray(references[:, newest], jnp.float32),
-        jax.random.split(key, len(starts)),
-        clock,
-    )
+    newest = newest_references(clock, starts, actions, references.shape[1])
+    keys = jax.random.split(key, len(starts))
+    load = _loads(fin, jnp.asarray(references[:, newest], jnp.float32), keys, clock)
     force = np.zeros((len(references), len(starts), ticks, 2))
     torque = np.zeros((len(references), len(starts), ticks))
     for repeat_index, start in enumerate(starts):
         force[:, repeat_index, start:] = load.force[:, repeat_index, : ticks - start]
         torque[:, repeat_index, start:] = load.torque[:, repeat_index, : ticks - start]
     return force, torque
+
+
+def newest_references(
+    clock: ActionClock, starts: Int[np.ndarray, "repeats"], actions: int, num_references: int
+) -> Int[np.ndarray, "repeats actions"]:
+    """Return the index of the node's newest reference at each action of a fin that starts a number
+    of ticks after the node."""
+    fin_ticks = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
+    sent_ticks = np.cumsum([0, *NODE_CLOCK.action_ticks(num_references)])[:-1]
+    now = starts[:, None] + fin_ticks
+    return np.asarray(np.searchsorted(sent_ticks, now, side="right") - 1)
 
 
 @jit("low")

@@ -31,22 +31,24 @@ def evaluate(
     out: Path,
     config: RobotEvaluateConfig,
     *,
+    plants: Sequence[str] = ("tank",),
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
     """Evaluate a robot's node in simulation; writes ``robot.json`` to `out`.
 
     `controllers` are one controller for all fins, or one for each fin in the order of the robot's
-    file.
+    file; `plants` are their tanks.
     """
     artifacts.check_vacant(out, overwrite)
     body = load_robot(robot)
-    fins = simulated_fins(body, controllers)
+    fins = simulated_fins(body, controllers, plants)
     found = evaluate_robot(body, fins, config, partial(progress, "robot"))
     result = {
         **artifacts.head("robot"),
         **found,
         "controllers": [str(controller) for controller in controllers],
+        "plants": list(plants),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
@@ -56,28 +58,32 @@ def evaluate(
     return result
 
 
-def simulated_fins(robot: RobotConfig, controllers: Sequence[Path]) -> list[SimulatedFin]:
-    """Load the controller and the tank of each fin.
+def simulated_fins(
+    robot: RobotConfig, controllers: Sequence[Path], plants: Sequence[str]
+) -> list[SimulatedFin]:
+    """Load the controller and the tank of each fin: one for all, or one for each.
 
-    Raises ConfigurationError for a wrong number of controllers and for a plant that is not a tank,
-    and PlantError for a controller that exceeds its tank's limits.
+    Raises ConfigurationError for a wrong number of them and for a plant that is not a tank, and
+    PlantError for a controller that exceeds its tank's limits.
     """
     count = len(robot.fins)
-    if len(controllers) not in (1, count):
-        raise ConfigurationError(
-            f"robot {robot.name}: got {len(controllers)} controllers; use one for all fins, or one "
-            f"for each of {', '.join(robot.fins)}"
-        )
+    for given, what in ((controllers, "controllers"), (plants, "plants")):
+        if len(given) not in (1, count):
+            raise ConfigurationError(
+                f"robot {robot.name}: got {len(given)} {what}; use one for all fins, or one for "
+                f"each of {', '.join(robot.fins)}"
+            )
     fins = []
-    for index, (name, mount) in enumerate(robot.fins.items()):
+    for index in range(count):
         path = controllers[index % len(controllers)]
+        plant = plants[index % len(plants)]
         controller = load_controller(path)
-        tank = find_plant(mount.plant)
+        tank = find_plant(plant)
         if not isinstance(tank, Tank):
             raise ConfigurationError(
-                f"robot {robot.name}: {name} is {mount.plant}, but only a tank simulates the "
-                "torque about the shaft; use tank, or the YAML file of a tank"
+                f"plant {plant}: only a tank simulates the torque about the shaft of a robot's "
+                "fin; use tank, or the YAML file of a tank"
             )
-        check_limits(controller.limits, tank.limits, path, mount.plant)
+        check_limits(controller.limits, tank.limits, path, plant)
         fins.append(SimulatedFin(controller, tank))
     return fins
