@@ -171,7 +171,7 @@ def _error_table(found: JsonObject) -> list[str]:
         lines.append(f"{found['targets_given_up']} targets are out of the fins' reach")
     if found["references_unreachable"]:
         lines.append(
-            f"{found['references_unreachable']:.0%} of the references are unreachable for a fin's "
-            "controller, which tracks the nearest reachable force; reduce --max-thrust"
+            f"{found['references_unreachable']:.0%} of the references are unreachable for their "
+            "fin, which tracks the nearest reachable force instead"
         )
     return lines

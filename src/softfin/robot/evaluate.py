@@ -93,30 +93,33 @@ def evaluate_robot(
     ticks = WINDOWS * window_ticks
     series = [fin_references(robot, max_thrust_n, dead, target, ticks) for target in targets]
     references = np.stack([each.forces for each in series])
+    tracked = references.copy()
     wrench = np.zeros((config.targets, config.repeats, ticks, 6))
     matrix = robot.matrix()
     random = named_generator(config.seed, "robot/starts")
-    unreachable = 0
     for index, (fin, (name, mount)) in enumerate(zip(fins, robot.fins.items(), strict=True)):
         # A fin's node does not know the phases of the others.
         starts = random.integers(fin.controller.clock.window_ticks, size=config.repeats)
         if index in dead:
             continue
         report(index / len(fins), name)
-        tracked = np.asarray(
-            nearest_trackable(fin.controller, references[:, :, index].reshape(-1, 2))
-        ).reshape(*references.shape[:2], 2)
-        unreachable += int((tracked != references[:, :, index]).any(axis=2).sum())
+        # A fin's node replaces unreachable references in the same way.
+        asked = references[:, :, index]
+        tracked[:, :, index] = nearest_trackable(fin.controller, asked.reshape(-1, 2)).reshape(
+            asked.shape
+        )
         key = named_key(config.seed, f"robot/{name}")
-        forces, torques = fin_loads(fin, tracked, starts, ticks, key)
+        forces, torques = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
         wrench += forces @ matrix[:, 2 * index : 2 * index + 2].T
         # The fin's torque about its shaft adds to the moment of its force.
         wrench[..., 3:] += torques[..., None] * np.asarray(mount.shaft_axis)
     report(1.0, "")
     counted = wrench[:, :, ticks // 2 :]
     errors = np.abs(counted.mean(axis=2) - targets[:, None])
-    allocated = np.stack([each.wrench[-1] for each in series])
-    moved = references.shape[0] * references.shape[1] * (len(fins) - len(dead))
+    tracked_wrench = tracked[:, -1].reshape(config.targets, -1) @ matrix.T
+    replaced = (tracked != references).any(axis=3).sum() / (
+        config.targets * references.shape[1] * (len(fins) - len(dead))
+    )
     return {
         "robot": robot.name,
         "dead": config.dead,
@@ -124,10 +127,10 @@ def evaluate_robot(
         "target": _per_axis(np.abs(targets).mean(axis=0)),
         "error": _per_axis(errors.mean(axis=(0, 1))),
         "error_worst": _per_axis(errors.max(axis=(0, 1))),
-        "error_of_references": _per_axis(np.abs(allocated - targets).mean(axis=0)),
+        "error_of_references": _per_axis(np.abs(tracked_wrench - targets).mean(axis=0)),
         "ripple": _per_axis(counted.std(axis=2).mean(axis=(0, 1))),
         "targets_given_up": sum(bool(each.given_up[-1].any()) for each in series),
-        "references_unreachable": unreachable / moved,
+        "references_unreachable": round(float(replaced), 4),
     }
 
 
