@@ -29,11 +29,11 @@ DRAG_LINEAR = np.array([28.5, 100.7, 30.6, 0, 0, 0.313])
 DRAG_QUADRATIC = np.array([22.0, 260, 161, 3.42, 2.10, 0.723])
 """Drag of U-CAT, from its laboratory's simulator."""
 
-BANDWIDTH_RAD_S = np.array([0.5, 0.5, 0.4, 0, 0, 0.5])
+BANDWIDTH_RAD_S = np.array([0.7, 0.7, 0.4, 0, 0, 0.6])
 """Bandwidth of the control of each axis [rad/s]; the delay of the fins allows no more. Roll and
 pitch are left to the body's weight and buoyancy."""
 
-INTEGRAL = 0.2
+INTEGRAL = 0.3
 """Rate of the integral term, as a fraction of the bandwidth."""
 
 PUSH_S = 0.5
