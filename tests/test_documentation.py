@@ -34,8 +34,9 @@ from softfin.evaluation.view.view import ViewConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
-from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
+from softfin.rig.ros2.config import NodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
+from softfin.robot.node_config import RobotNodeConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import FitConfig, StreamingConfig
@@ -64,7 +65,6 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
     "robot evaluate": (RobotEvaluateConfig(),),
-    "robot view": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
