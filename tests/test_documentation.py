@@ -296,6 +296,8 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
             (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
             Image.new("RGB", (8, 6)).save(tmp_path / word)
     stop_at_work(monkeypatch)
+    # As Python does for a script, so that it finds modules next to it.
+    monkeypatch.syspath_prepend(str(script.parent))
     monkeypatch.setattr(sys, "argv", [str(script), *words])
     try:
         runpy.run_path(str(script), run_name="__main__")
@@ -306,14 +308,15 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
 
 
 def stop_at_work(monkeypatch):
-    """Where a script that has understood its words begins: with a recording, a dataset, or a
-    program."""
+    """Where a script that has understood its words begins: with a recording, a dataset, a
+    controller, or a program."""
 
     def work(*words, **options):
         raise Parsed
 
     monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
+    monkeypatch.setattr("softfin.control.store.load_controller", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 
