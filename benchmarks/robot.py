@@ -1,55 +1,32 @@
-"""A robot with four fins: allocation on one core, NumPy alone; and whole trials, one robot and 64
-side by side.
+"""A robot with four fins: allocation on one core, NumPy alone.
 
 Wrenches are drawn up to 1.5 times what the fins make, so that about half of them are beyond reach.
 The floor is what so many calls of NumPy on arrays of eight numbers cost: an allocation within reach
-has seven, and each of Newton's steps thirty. A trial is body, four fins in the tank, controller of
-motion and wrench driver, 100 readings a second.
+has seven, and each of Newton's steps thirty.
 """
 
 import time
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.controller_step import one_core
 from benchmarks.measure import entry
-from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.quantities import TICK_S, Command
 from softfin.robot.allocation import Allocator
-from softfin.robot.description import load_robot
-from softfin.robot.evaluate import find_all_gaits
-from softfin.robot.motion_control import MotionController
-from softfin.robot.paths import hold_place
-from softfin.robot.simulation import Ambient, Orders, RobotSimulation
-from softfin.robot.trial import run_trial
-from softfin.robot.wrench_driver import WrenchDriver
-from softfin.tank import Tank
+from softfin.robot.description import RobotConfig, load_robot
 
 WRENCHES = 3000
-SECONDS = 60.0
-BATCH = 64
-ACTIONS = 12
+REACH_N = 4.125
+"""Of each fin."""
 
 
 def main() -> list[dict[str, Any]]:
     robot = load_robot("ucat")
-    tanks = [Tank()] * 4
-    gaits = find_all_gaits(tanks)
     with one_core():
-        rows = allocation(robot, np.array([each.reach for each in gaits]))
-    simulation = RobotSimulation(robot, tanks)
-    run_trial(simulation, WrenchDriver(robot, gaits), hold_place(), 2)
-    start = time.perf_counter()
-    run_trial(simulation, WrenchDriver(robot, gaits), hold_place(), SECONDS)
-    spent = time.perf_counter() - start
-    rows.append(entry("one robot, simulated over real time", SECONDS / spent, "-", 50))
-    return [*rows, batch(robot, simulation, gaits)]
+        return allocation(robot, np.full(len(robot.fins), REACH_N))
 
 
-def allocation(robot: Any, reach: np.ndarray) -> list[dict[str, Any]]:
+def allocation(robot: RobotConfig, reach: np.ndarray) -> list[dict[str, Any]]:
     """Times of single allocations: all of them, and those within reach."""
     allocator = Allocator(robot.matrix(), reach, np.array(robot.allocation.priority))
     random = np.random.default_rng(0)
@@ -93,46 +70,3 @@ def allocation(robot: Any, reach: np.ndarray) -> list[dict[str, Any]]:
             at_least=False,
         ),
     ]
-
-
-def batch(robot: Any, simulation: RobotSimulation, gaits: Any) -> dict[str, Any]:
-    """64 robots that hold their places, all in one program, each with a controller and a driver of
-    its own."""
-    drivers = [WrenchDriver(robot, gaits) for _ in range(BATCH)]
-    controller = MotionController(robot)
-    still = hold_place()(0.0)
-    advance = jax.jit(jax.vmap(simulation.advance, in_axes=(0, 0, None, None)))
-    states = jax.vmap(simulation.init)(jax.random.split(jax.random.key(0), BATCH))
-    around = Ambient(jnp.asarray([0.03, 0.0, 0.0]), jnp.zeros(6))
-    control = [controller.init()] * BATCH
-    driving = [driver.init() for driver in drivers]
-    before = Command(jnp.zeros((BATCH, len(gaits))), jnp.ones((BATCH, len(gaits))))
-    seen = [[np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 6))]] * BATCH
-    start = time.perf_counter()
-    for action in range(ACTIONS + 1):
-        if action == 1:
-            start = time.perf_counter()
-        orders = []
-        now = []
-        for index, driver in enumerate(drivers):
-            control[index], wrench = controller.act(
-                control[index], seen[index], still, still, still
-            )
-            driving[index], driven = driver.act(driving[index], wrench)
-            control[index] = controller.acknowledge(control[index], driven.wrench, still)
-            now.append(driven.commands)
-            orders.append(driven.delays)
-        angles, velocities = np.array(now, np.float32).transpose(2, 0, 1)
-        commands = Command(jnp.asarray(angles), jnp.asarray(velocities))
-        states, rows = advance(
-            states, Orders(before, commands, jnp.asarray(orders)), around, PAPER_CLOCK.ticks[0]
-        )
-        before = commands
-        body = jax.tree.map(np.asarray, rows.body)
-        seen = [
-            [body.position[index], body.attitude[index], body.twist[index]]
-            for index in range(BATCH)
-        ]
-    spent = time.perf_counter() - start
-    simulated = BATCH * ACTIONS * PAPER_CLOCK.ticks[0] * TICK_S
-    return entry(f"{BATCH} robots, simulated over real time", simulated / spent, "-", 200)

@@ -42,15 +42,12 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 LONGEST_FIRST = (
     "tests/test_documented_runs.py",
-    "tests/cli/test_robot.py",
     "tests/end_to_end/test_stages.py",
-    "tests/robot/test_train.py",
     "tests/rig/test_session.py",
     "tests/tank/calibration/test_calibrate.py",
     "tests/test_documentation.py",
     "tests/learning/test_ppo.py",
     "tests/rig/test_soak.py",
-    "tests/robot/test_trial.py",
 )
 """Files that the others are then dealt out around, so that no worker waits for another at the
 end."""

@@ -32,8 +32,9 @@ from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
-from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
+from softfin.rig.ros2.config import NodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
+from softfin.robot.node_config import RobotNodeConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import FitConfig, StreamingConfig
@@ -60,7 +61,6 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
     "robot evaluate": (RobotEvaluateConfig(),),
-    "robot view": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
     "ros2": (NodeConfig(),),
@@ -299,6 +299,8 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
 def reaches_work(script, words, monkeypatch):
     """Whether a script understands its words and then begins its work, instead of finishing it."""
     stop_at_work(monkeypatch)
+    # As Python does for a script, so that it finds modules next to it.
+    monkeypatch.syspath_prepend(str(script.parent))
     monkeypatch.setattr(sys, "argv", [str(script), *words])
     with contextlib.suppress(Parsed):
         runpy.run_path(str(script), run_name="__main__")
@@ -308,7 +310,7 @@ def reaches_work(script, words, monkeypatch):
 
 def stop_at_work(monkeypatch):
     """Where a script that has understood its words begins: with a recording, a dataset, a plant, a
-    file, or a program."""
+    controller, a file, or a program."""
 
     def work(*words, **options):
         raise Parsed
@@ -316,6 +318,7 @@ def stop_at_work(monkeypatch):
     monkeypatch.setattr("softfin.stages.collect.collect", work)
     monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
     monkeypatch.setattr("softfin.storage.registry.find_plant", work)
+    monkeypatch.setattr("softfin.control.store.load_controller", work)
     monkeypatch.setattr(Path, "read_bytes", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)

@@ -131,39 +131,21 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
         assert (ROOT / each.words[1]).is_file()
 
 
-def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
+def test_the_robots_figures_state_the_seeds_of_their_targets(tmp_path):
     part = PARTS["robot"]((3, 4))
-    commands = [
-        each.command for each in part.steps if each.command.startswith("softfin robot evaluate")
-    ]
-    assert len(commands) == 2
-    assert all(" --repeats 2 --seed 3 " in command for command in commands)
-    rows = [
-        dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s}
-        for s in (3, 4)
-    ]
-    errors = (
-        "force_error_n",
-        "force_error_worst_n",
-        "moment_error_nm",
-        "moment_error_worst_nm",
-        "roll_ripple_ratio",
-    )
-    found = dict.fromkeys(("hold", "lemniscate", "lissajous"), rows)
-    found["wrenches"] = dict.fromkeys(errors, 0.1) | {"ripple": {"roll": 0.1}}
-    for each in part.steps:
+    axes = dict.fromkeys(("surge", "yaw"), 0.1)
+    columns = ("target", "error", "error_worst", "error_of_references", "ripple")
+    found = dict.fromkeys(columns, axes) | {"references_unreachable": 0.2}
+    evaluations = [each for each in part.steps if each.seed is not None]
+    assert [each.seed for each in evaluations] == [3, 4, 3, 4]
+    assert all(f"--seed {each.seed}" in each.command for each in evaluations)
+    for each in evaluations:
         (tmp_path / each.name).mkdir()
-        (tmp_path / each.name / "robot.json").write_text(
-            json.dumps(found | {"reach_n": [9], "baselines": {"a": found}})
-        )
-        (tmp_path / f"{each.name}.step.json").write_text(
-            json.dumps({"resumed": False, "wall_s": 1.0})
-        )
+        (tmp_path / each.name / "robot.json").write_text(json.dumps(found))
     figures = part.figures(Work(tmp_path))
-    for name in ("hold.position", "dead.lissajous.worst", "a.lemniscate.attitude"):
+    for name in ("error.surge", "dead.worst.yaw", "unreachable"):
         assert figures[name]["seeds"] == [3, 4]
-    for name in ("force_error_n", "a.roll_ripple"):
-        assert figures[name]["seeds"] == [3]
+    assert figures["worst.surge"]["summary"] == "worst"
 
 
 def test_a_seed_that_a_part_does_not_have_is_refused_before_anything_runs(run, tmp_path, capsys):

@@ -42,7 +42,7 @@ BENCHMARKS = {
     "rig": (3, 3),
     "rig_deaths": (60, 1),
     "activation": (8, 3),
-    "robot": (2, 3),
+    "robot": (1, 3),
     "explore": (1, 5),
 }
 """Benchmarks: minutes of each run, and runs. Those of few runs take long, or count what hardly

@@ -1,14 +1,19 @@
 """``softfin robot`` as a user types it."""
 
 import json
+import shutil
 import time
 
 import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.robot.description import load_robot
+from softfin.stages.example import EXAMPLE
 from tests.rig.ros2_memory import MemoryTransport
+from tests.staged import COARSE
+from tests.test_golden import check_keys
+
+GAITS = str(EXAMPLE / "gaits")
 
 
 def refused(capsys, *words):
@@ -21,10 +26,11 @@ def refused(capsys, *words):
 
 
 def test_check_prints_rank_and_reach(capsys):
-    main(["robot", "check", "ucat"])
+    main(["robot", "check", "ucat", "--max-thrust", "3"])
     told = capsys.readouterr().out
     assert "U-CAT: 4 fins, rank 6 of 6" in told
     assert "without back_left: rank 6" in told
+    assert "heave  up to 12.00 N" in told
     assert (
         "self-righting with 9.07 N m/rad: oscillates in roll at 0.89 Hz and pitch at 0.37 Hz"
         in told
@@ -39,83 +45,62 @@ def test_check_warns_of_a_body_that_does_not_stay_upright(capsys, tmp_path, ucat
             "centre_of_buoyancy_m: [0, 0, 0.03]", "centre_of_buoyancy_m: [0, 0, -0.03]"
         )
     )
-    main(["robot", "check", str(file)])
+    main(["robot", "check", str(file), "--max-thrust", "3"])
     assert (
         "warning: body: unstable in roll and pitch: weight and buoyancy turn it"
         in capsys.readouterr().out
     )
 
 
-@pytest.mark.slow
-def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
+@pytest.fixture
+def gaits(tmp_path):
+    """A coarse tank, and gaits that claim to reach every force."""
+    plant = tmp_path / "coarse.yaml"
+    plant.write_text(yaml.safe_dump(COARSE))
+    controller = tmp_path / "gaits"
+    shutil.copytree(EXAMPLE / "gaits", controller)
+    description = json.loads((controller / "controller.json").read_text())
+    description["reachable"] |= {"centre_n": [0, 0], "radius_n": [6] * 32}
+    description["lattice"] |= {"low_n": [-6, -6], "high_n": [6, 6]}
+    (controller / "controller.json").write_text(json.dumps(description))
+    return str(controller), "--plant", str(plant)
+
+
+def test_evaluate_prints_and_writes_the_errors_of_each_axis(capsys, tmp_path, gaits):
     out = tmp_path / "out"
-    main(
-        [
-            "robot",
-            "evaluate",
-            "ucat",
-            "--task",
-            "hold",
-            "--task",
-            "wrenches",
-            "--repeats",
-            "1",
-            "--out",
-            str(out),
-            "--json",
-            "--set",
-            "hold_s=20",
-            "--set",
-            "settled_s=6",
-            "--set",
-            "wrenches=2",
-        ]
-    )
-    found = json.loads(capsys.readouterr().out)
-    assert found["wrenches"]["count"] == 2
-    assert json.loads((out / "robot.json").read_text())["hold"][0]["seed"] == 0
-    assert {file.name for file in out.iterdir()} == {
-        "robot.json",
-        "hold.html",
-        "hold.png",
-        "hold.svg",
-    }
-    page = (out / "hold.html").read_text()
-    # Nothing is fetched; the library is in the page, with its licence.
-    assert "src=" not in page
-    assert "data:text/javascript;base64," in page
+    words = ["evaluate", "ucat", *gaits, "--out", str(out), "--dead", "back_left"]
+    sizes = ["--targets", "2", "--repeats", "1", "--max-thrust", "3"]
+    main(["robot", *words, *sizes])
+    told = capsys.readouterr().out
+    assert "U-CAT, back_left dead: 2 target wrenches, 1 times 20 s" in told
+    assert [file.name for file in out.iterdir()] == ["robot.json"]
+    check_keys(out)
+    found = json.loads((out / "robot.json").read_text())
+    assert found["configuration"]["dead"] == "back_left"
+    for axis, error in found["error"].items():
+        line = next(line for line in told.splitlines() if line.startswith(axis))
+        assert f"{error:.3f}" in line.split()
 
 
-@pytest.mark.slow
-def test_view_writes_a_page(capsys, tmp_path):
-    page = tmp_path / "lem.html"
-    main(
-        [
-            "robot",
-            "view",
-            "--task",
-            "lemniscate",
-            "--out",
-            str(page),
-            "--set",
-            "path_s=20",
-            "--set",
-            "settled_s=5",
-        ]
-    )
-    assert "lemniscate" in capsys.readouterr().out
-    assert page.stat().st_size < 2_500_000
+def test_controllers_are_for_all_fins_or_for_each(capsys, gaits):
+    controller, *plant = gaits
+    told = refused(capsys, "evaluate", "ucat", controller, controller, *plant)
+    assert "got 2 controllers; use one for all fins, or one for each of front_right" in told
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("check", "ucat", "--task", "hold"), "--task: unknown option"),
-        (("view", "--task", "wrenches"), "--task wrenches: must be one of hold, lemniscate"),
-        (("view", "ucat", "--out", "robot.gif"), "must end in .html"),
-        (("evaluate", "nemo.yaml"), "nemo.yaml: file not found"),
-        (("evaluate", "--set", "seeds=0"), "seeds"),
-        (("evaluate", "--set", "hold_s=60"), "must be at least 90.34 s with settled_s = 30"),
+        (("check", "ucat"), "max_thrust: missing"),
+        (("check", "nemo.yaml", "--max-thrust", "3"), "nemo.yaml: file not found"),
+        (("evaluate", "ucat"), "missing required CONTROLLER"),
+        (("evaluate", "ucat", GAITS), "max_thrust: missing"),
+        (("evaluate", "ucat", GAITS, "--repeats", "0"), "repeats"),
+        (("evaluate", "ucat", GAITS, "--plant", "tests.plants:AnalyticFin"), "only a tank"),
+        (
+            ("evaluate", "ucat", GAITS, "--max-thrust", "3", "--dead", "tail"),
+            "dead = tail: unknown fin",
+        ),
         (("ros2", "ucat"), "max_thrust: missing"),
         (
             ("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"),
@@ -132,16 +117,6 @@ def test_what_cannot_be_done_is_told_in_one_line(capsys, transport, words, told)
     assert told in refused(capsys, *words)
 
 
-def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, ucat_file):
-    text = ucat_file.replace(
-        "    shaft_axis: [0.5, 0.8660254, 0]",
-        "    shaft_axis: [0.5, 0.8660254, 0]\n    range_rad: [-1, 1]",
-    )
-    file = tmp_path / "limited.yaml"
-    file.write_text(text)
-    assert "front_left has a limited range" in refused(capsys, "evaluate", str(file))
-
-
 @pytest.fixture
 def transport(monkeypatch):
     transport = MemoryTransport(time.monotonic)
@@ -152,7 +127,7 @@ def transport(monkeypatch):
 def test_a_stop_by_its_topic_ends_the_node_with_the_exit_code_of_a_stop(capsys, transport):
     transport.put("/robot/stop", transport.messages.make("std_msgs/msg/Bool", True))
     with pytest.raises(SystemExit) as stop:
-        main(["robot", "ros2", "ucat", "--set", "max_thrust=3"])
+        main(["robot", "ros2", "ucat", "--max-thrust", "3"])
     assert stop.value.code == 3
     told = capsys.readouterr().err
     assert "in memory" in told
@@ -194,11 +169,3 @@ def ucat_file():
     from importlib.resources import files
 
     return files("softfin.robot").joinpath("robots/ucat.yaml").read_text()
-
-
-def test_fins_of_tanks_that_are_not_alike_are_refused(capsys, tmp_path):
-    (tmp_path / "tank.yaml").write_text("fin: {plates: 2}\n")
-    robot = load_robot("ucat").model_dump(mode="json")
-    robot["fins"]["back_left"]["plant"] = str(tmp_path / "tank.yaml")
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
-    assert "same number of plates" in refused(capsys, "check", str(tmp_path / "robot.yaml"))

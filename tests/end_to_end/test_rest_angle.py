@@ -5,12 +5,9 @@ import numpy as np
 import pytest
 
 from softfin.control.store import load_controller
-from softfin.core.errors import PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
-from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.storage.dataset import Dataset
-from softfin.storage.registry import find_plant
 from softfin.surrogate import load_surrogate
 from softfin.tank import Tank, TankConfig
 from tests.end_to_end.test_stages import run, write
@@ -66,9 +63,3 @@ def test_a_tank_at_rest_stays_there_without_force(low, high, rest):
     np.testing.assert_allclose(reading.angle, rest, atol=1e-4)
     np.testing.assert_allclose(reading.velocity, 0, atol=1e-4)
     np.testing.assert_allclose(reading.force, 0, atol=1e-3)
-
-
-def test_what_needs_strokes_about_angle_0_is_refused_in_one_line(tmp_path):
-    tank = find_plant(write(tmp_path / "tank.yaml", SIDEWAYS))
-    with pytest.raises(PlantError, match=r"robot: the tank limits the angle to 0\.2 \.\. 1\.2 rad"):
-        find_fin_gaits(tank)

@@ -266,11 +266,12 @@ def node(_: Path) -> dict[str, Any]:
 def robot(folder: Path) -> dict[str, Any]:
     """A robot's node: the child plays four fins, asks for a wrench, then for a stop."""
     from softfin.core.errors import SafetyStop
-    from softfin.rig.ros2.config import RobotNodeConfig, TransportConfig
+    from softfin.rig.ros2.config import TransportConfig
     from softfin.rig.ros2.plant import open_transport
-    from softfin.rig.ros2.robot import RobotNode
     from softfin.rig.stop import StopRequest
     from softfin.robot.description import load_robot
+    from softfin.robot.node import RobotNode
+    from softfin.robot.node_config import RobotNodeConfig
 
     transport = open_transport(TransportConfig(transport="dds"))
     config = RobotNodeConfig.build(

@@ -5,7 +5,6 @@ import pytest
 
 from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import RobotConfig
-from softfin.robot.wrench_driver import WrenchDriver
 
 REACH_N = 4.0
 
@@ -101,16 +100,3 @@ def test_a_bracing_that_costs_much_to_change_is_kept(robot):
     for wrench in drawn_wrenches(robot, 20):
         _, kept = stubborn.share(wrench, rest, brace)
         np.testing.assert_allclose(kept, brace)
-
-
-def test_the_driver_goes_on_when_a_fin_dies_at_any_moment(robot, gaits):
-    count = len(robot.fins)
-    wrenches = drawn_wrenches(robot, 60)
-    alive = WrenchDriver(robot, [gaits[0]] * count)
-    state = alive.init()
-    for number, wrench in enumerate(wrenches):
-        driver = WrenchDriver(robot, [gaits[0]] * count)
-        driver.declare_dead(number % count)
-        _, orders = driver.act(state, wrench)
-        assert not orders.forces[number % count].any()
-        state, _ = alive.act(state, wrench)

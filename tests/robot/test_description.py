@@ -9,9 +9,7 @@ import yaml
 
 from softfin.core.errors import ConfigurationError
 from softfin.robot.check import check_robot
-from softfin.robot.description import RobotConfig, load_robot
-from softfin.robot.dynamics import BodyState, Dynamics
-from softfin.robot.rotation import from_euler
+from softfin.robot.description import RobotConfig, load_robot, max_thrust_per_fin
 
 
 @pytest.fixture
@@ -28,11 +26,6 @@ def values(ucat):
             "shaft_axis = .* has length 0.7071; use a unit vector",
         ),
         ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
-        (
-            "fins.front_left.range_rad",
-            [1.0, -1.0],
-            "the first angle must be smaller than the second",
-        ),
         ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
         ("fins", {}, "fins"),
         ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),
@@ -61,38 +54,37 @@ def test_a_robot_that_is_not_there_is_told_with_those_that_are():
         load_robot("nemo.yaml")
 
 
-def test_a_check_tells_rank_and_reach(ucat, gaits):
-    found = check_robot(ucat, gaits)
+THRUST_N = [3.0, 3.0, 3.0, 3.0]
+
+
+def test_a_check_tells_rank_and_reach(ucat):
+    found = check_robot(ucat, THRUST_N)
     assert found["rank"] == 6
     assert set(found["rank_without"].values()) == {6}
-    reach = found["fin_reach_n"]["front_left"]
+    assert found["max_thrust_n"]["front_left"] == 3
     # Along the nose each fin has the cosine of 30 degrees of its force, upwards all of it.
-    assert found["reach"]["surge"] == pytest.approx(4 * 0.866 * reach, rel=0.02)
-    assert found["reach"]["heave"] == pytest.approx(4 * reach, rel=0.02)
+    assert found["reach"]["surge"] == pytest.approx(4 * 0.866 * 3, rel=0.02)
+    assert found["reach"]["heave"] == pytest.approx(4 * 3, rel=0.02)
     # Of the water that moves along, 40 kg in surge, the fins accelerate twice the body's own mass.
     mass = ucat.body.mass_kg + ucat.body.added_mass[0]
     assert found["acceleration"]["surge"] == pytest.approx(found["reach"]["surge"] / mass, rel=0.01)
     assert found["sinks_n"] == 0
 
 
-def test_a_check_says_how_the_body_swings(ucat, sister, gaits):
-    found = check_robot(ucat, gaits)
-    assert found["righting_nm_rad"] == pytest.approx(18.5 * 9.81 * 0.05, abs=1e-3)
+@pytest.mark.parametrize("gravity_z", [-0.02, 0.1])
+def test_a_check_says_how_the_body_swings(ucat, gravity_z):
+    """A centre of gravity far from the origin couples roll and sway."""
+    body = {"centre_of_gravity_m": [0, 0, gravity_z], "centre_of_buoyancy_m": [0, 0, 0.2]}
+    robot = ucat.merged({"body": body}, "test")
+    found = check_robot(robot, THRUST_N)
+    righting = 18.5 * 9.81 * (0.2 - gravity_z)
+    assert found["righting_nm_rad"] == pytest.approx(righting, abs=1e-3)
     assert found["problems"] == []
-    for robot in (ucat, sister):
-        # A small roll, let go: it returns after one period.
-        hertz = check_robot(robot, gaits)["swing_hz"]
-        undamped = robot.body.model_copy(
-            update={"drag_linear": (0,) * 6, "drag_quadratic": (0,) * 6}
-        )
-        dynamics = Dynamics.of(undamped)
-        for axis, roll, pitch in (("roll", 0.01, 0.0), ("pitch", 0.0, 0.01)):
-            state = BodyState(np.zeros(3), from_euler(roll, pitch, 0.0), np.zeros(6))
-            start = state.attitude
-            ticks = round(100 / hertz[axis])
-            for _ in range(ticks):
-                state = dynamics.step(state, np.zeros(6), np.zeros(3))
-            np.testing.assert_allclose(state.attitude, start, atol=1e-4)
+    # All six degrees of freedom at once: omega^2 are the eigenvalues of M^-1 K.
+    stiffness = np.diag([0, 0, 0, righting, righting, 0])
+    squares = np.linalg.eigvals(np.linalg.inv(robot.body.inertia()) @ stiffness)
+    hertz = np.sqrt(np.sort(squares.real)[-2:]) / (2 * np.pi)
+    np.testing.assert_allclose(sorted(found["swing_hz"].values()), hertz, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -102,9 +94,9 @@ def test_a_check_says_how_the_body_swings(ucat, sister, gaits):
         (-0.02, "weight and buoyancy do not right it"),
     ],
 )
-def test_a_check_names_a_body_that_does_not_stay_upright(ucat, gaits, buoyancy_z, words):
+def test_a_check_names_a_body_that_does_not_stay_upright(ucat, buoyancy_z, words):
     robot = ucat.merged({"body": {"centre_of_buoyancy_m": [0, 0, buoyancy_z]}}, "test")
-    found = check_robot(robot, gaits)
+    found = check_robot(robot, THRUST_N)
     (problem,) = found["problems"]
     assert words in problem
     assert problem.startswith("body: unstable in roll and pitch")
@@ -121,3 +113,12 @@ def test_the_example_of_the_document_is_a_robot():
     text = (Path(__file__).parents[2] / "docs" / "robot.md").read_text()
     example = dedent(text.partition("## The robot's file\n\n")[2].partition("\n\n`softfin")[0])
     assert RobotConfig.build(yaml.safe_load(example)).matrix().shape == (6, 4)
+
+
+@pytest.mark.parametrize("given", [4.0, {"front_right": 1.0, "back_right": 2.0, "back_left": 3.0}])
+def test_a_fin_s_thrust_is_one_number_or_its_own(ucat, given):
+    if isinstance(given, dict):
+        given["front_left"] = 4.0
+        assert max_thrust_per_fin(ucat, given) == [1.0, 2.0, 3.0, 4.0]
+    else:
+        assert max_thrust_per_fin(ucat, given) == [4.0] * 4

@@ -67,10 +67,7 @@ GROUPS = {
     },
     "Robots": {
         "robot check": Command("robot", "check rank, reach and stability of a multi-fin robot"),
-        "robot evaluate": Command(
-            "robot", "evaluate station keeping and path following of a robot"
-        ),
-        "robot view": Command("robot", "write an HTML page that shows one trial in 3D"),
+        "robot evaluate": Command("robot", "evaluate the wrench errors of a robot's node"),
         "robot ros2": Command("robot", "run a ROS 2 node that distributes wrenches among fins"),
     },
     "Paper": {

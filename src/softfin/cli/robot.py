@@ -1,25 +1,26 @@
 """Commands for a robot with several fins."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 from softfin.cli.common import (
     CommandOptions,
     Configured,
-    File,
     NodeOptions,
     Out,
     Repeats,
+    folder_option,
     on_terminal,
+    plant,
     progress,
 )
 from softfin.cli.options import Option
-from softfin.core.choices import RobotTask, ViewedTask
 from softfin.core.json_object import JsonObject
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
+Controllers: TypeAlias = Annotated[tuple[Path, ...], folder_option("controller", positional=True)]
+Plants: TypeAlias = Annotated[tuple[str, ...], plant()]
 
 
 class RobotCheckArguments(CommandOptions):
@@ -27,11 +28,13 @@ class RobotCheckArguments(CommandOptions):
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
+    max_thrust: float | None = None
+    """Maximum mean force that each fin can produce in every direction [N]."""
 
     def __call__(self) -> None:
         from softfin.stages.robot import check_robot_file
 
-        found = check_robot_file(self.robot)
+        found = check_robot_file(self.robot, self.max_thrust)
         lines = _reach_lines(found)
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(
@@ -49,71 +52,44 @@ class RobotCheckArguments(CommandOptions):
 
 
 class RobotEvaluateArguments(Configured):
-    """Evaluate a robot in simulation: wrenches, station keeping and path following. Writes JSON,
-    figures and HTML pages."""
+    """Evaluate a robot's ROS 2 node in simulation: wrench errors of fins in a tank, on a fixed
+    body."""
 
-    robot: Robot = "ucat"
+    robot: Robot
     """Name of a robot, or its YAML file."""
+    controller: Controllers
+    """Controller folder: one for all fins, or one for each fin in the order of the robot's file."""
+    plant: Plants = ("tank",)
+    """Tank in which the fins beat, or its YAML file: one for all fins, or one for each fin."""
     out: Out = Path("runs/robot")
     """Output folder."""
-    task: tuple[RobotTask, ...] = ()
-    """wrenches: mean wrenches on a fixed body; hold: hold position against a push and a current;
-    lemniscate: follow a figure eight; lissajous: follow a three-dimensional curve (default: all
-    four)."""
-    dead: bool = False
-    """Let one fin fail at a random time, each fin in turn."""
-    baselines: bool = False
-    """Also evaluate simpler controllers."""
+    max_thrust: float | None = None
+    """Maximum mean force that each fin can produce in every direction [N]."""
+    targets: int | None = None
+    """Number of random target wrenches (default: 20)."""
+    dead: str | None = None
+    """Name of a fin that is dead (default: none)."""
     repeats: Repeats | None = None
-    """Repetitions of each trial (default: 5)."""
+    """Repetitions of each target (default: 5)."""
     seed: int | None = None
-    """Seed for noise and disturbances (default: 0)."""
+    """Seed for targets, starting times and sensors (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.robot.evaluate import RobotEvaluateConfig
         from softfin.stages.robot import evaluate
 
-        config = self.configured(
-            RobotEvaluateConfig(),
-            tasks=self.task,
-            dead=self.dead or None,
-            baselines=self.baselines or None,
-            seeds=self.repeats,
-        )
+        config = self.configured(RobotEvaluateConfig(), dead=self.dead)
         with progress() as report:
             found = evaluate(
-                self.robot, self.out, config, overwrite=self.overwrite, progress=report
+                self.robot,
+                self.controller,
+                self.out,
+                config,
+                plants=self.plant,
+                overwrite=self.overwrite,
+                progress=report,
             )
-        self.tell(found, "\n".join([*_table(found), f"{self.out}: pages, figures and robot.json"]))
-
-
-class RobotViewArguments(Configured):
-    """Write an HTML page that shows one trial of a robot in 3D."""
-
-    robot: Robot = "ucat"
-    """Name of a robot, or its YAML file."""
-    out: File = Path("robot.html")
-    """File to write."""
-    task: ViewedTask | None = None
-    """hold: hold position against a push and a current (default); lemniscate: follow a figure
-    eight; lissajous: follow a three-dimensional curve."""
-    dead: bool = False
-    """Let one fin fail at a random time."""
-    seed: int | None = None
-    """Seed for noise and disturbances (default: 0)."""
-
-    def __call__(self) -> None:
-        from softfin.stages.robot import VIEWED, view
-
-        tasks = () if self.task is None else (self.task,)
-        config = self.configured(VIEWED, tasks=tasks, dead=self.dead or None)
-        with progress() as report:
-            row = view(self.robot, self.out, config, overwrite=self.overwrite, progress=report)
-        self.tell(
-            row,
-            f"{self.out}: {config.tasks[0]}, RMS position error "
-            f"{100 * row['position_rms_m']:.1f} cm; open it in a browser",
-        )
+        self.tell(found, "\n".join([*_error_table(found), f"{self.out}: robot.json"]))
 
 
 class RobotRos2Arguments(NodeOptions):
@@ -125,14 +101,16 @@ class RobotRos2Arguments(NodeOptions):
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
+    max_thrust: float | None = None
+    """Maximum mean force that each fin can produce in every direction [N]."""
 
     def __call__(self) -> None:
         from softfin.cli.driving import say, typed
-        from softfin.rig.ros2.config import RobotNodeConfig
         from softfin.rig.ros2.plant import open_transport
-        from softfin.rig.ros2.robot import RobotNode
         from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
         from softfin.robot.description import load_robot
+        from softfin.robot.node import RobotNode
+        from softfin.robot.node_config import RobotNodeConfig
 
         config = self.configured(RobotNodeConfig(), connection=self.connection)
         robot = load_robot(self.robot)
@@ -160,8 +138,8 @@ def _reach_lines(found: JsonObject) -> list[str]:
     ]
     for name, rank in found["rank_without"].items():
         lines.append(f"without {name}: rank {rank}")
-    reach = ", ".join(f"{name} {force:.2f} N" for name, force in found["fin_reach_n"].items())
-    lines.append(f"mean force of each fin  {reach}")
+    reach = ", ".join(f"{name} {force:.2f} N" for name, force in found["max_thrust_n"].items())
+    lines.append(f"maximum mean force of each fin  {reach}")
     # Three forces, then three moments.
     for index, (name, most) in enumerate(found["reach"].items()):
         unit, acceleration_unit = ("N", "m/s2") if index < 3 else ("N m", "rad/s2")
@@ -172,65 +150,28 @@ def _reach_lines(found: JsonObject) -> list[str]:
     return lines
 
 
-def _table(found: JsonObject) -> list[str]:
-    lines = []
-    if (row := found.get("wrenches")) is not None:
+def _error_table(found: JsonObject) -> list[str]:
+    """Return the wrench errors of an evaluation, one line per axis."""
+    from softfin.cli.tables import aligned
+
+    config = found["configuration"]
+    fins = "all fins" if found["dead"] is None else f"{found['dead']} dead"
+    cells = [["", "", "target", "error", "worst", "of references", "ripple"]]
+    # Three forces, then three moments.
+    for index, name in enumerate(found["error"]):
+        columns = ("target", "error", "error_worst", "error_of_references", "ripple")
+        values = [f"{found[column][name]:.3f}" for column in columns]
+        cells.append([name, "N" if index < 3 else "N m", *values])
+    lines = [
+        f"{found['robot']}, {fins}: {config['targets']} target wrenches, {config['repeats']} times "
+        f"{found['seconds']:g} s; means of the absolute values",
+        *aligned(cells, (0, 1)),
+    ]
+    if found["targets_given_up"]:
+        lines.append(f"{found['targets_given_up']} targets are out of the fins' reach")
+    if found["references_unreachable"]:
         lines.append(
-            f"{row['count']} wrenches, mean over 2 s: error {row['force_error_n']:.3f} N and "
-            f"{row['moment_error_nm']:.3f} N m (worst {row['force_error_worst_n']:.3f} N, "
-            f"{row['moment_error_worst_nm']:.3f} N m); roll ripple "
-            f"{row['roll_ripple_ratio']:.2f} times that with independent phases"
+            f"{found['references_unreachable']:.0%} of the references are unreachable for their "
+            "fin, which tracks the nearest reachable force instead"
         )
-    tasks = [task for task in ("hold", "lemniscate", "lissajous") if task in found]
-    if tasks:
-        lines.append(_trial_table(found, tasks))
-    if "baselines" in found:
-        lines.append(_baseline_table(found["baselines"], tasks))
     return lines
-
-
-def _trial_table(found: JsonObject, tasks: Sequence[str]) -> str:
-    from softfin.cli.tables import aligned
-
-    cells = [["", "seed", "position [cm RMS]", "worst", "tilt [deg RMS]", "worst", ""]]
-    for task in tasks:
-        for row in found[task]:
-            note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
-            cells.append(
-                [
-                    task,
-                    str(row["seed"]),
-                    f"{100 * row['position_rms_m']:.2f}",
-                    f"{100 * row['position_worst_m']:.1f}",
-                    f"{row['attitude_rms_deg']:.2f}",
-                    f"{row['attitude_worst_deg']:.1f}",
-                    note,
-                ]
-            )
-    return "\n".join(aligned(cells, (0, 6)))
-
-
-def _baseline_table(baselines: JsonObject, tasks: Sequence[str]) -> str:
-    from softfin.cli.tables import aligned
-
-    titles = ["mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]"]
-    cells = [titles + [f"{task} [cm; deg]" for task in tasks]]
-    for name, row in baselines.items():
-        scores = row["wrenches"]
-        line = [
-            name,
-            f"{scores['force_error_n']:.3f}",
-            f"{scores['moment_error_nm']:.3f}",
-            f"{scores['ripple']['roll']:.2f}",
-        ]
-        for task in tasks:
-            off_m = _mean(row[task], "position_rms_m")
-            tilt_deg = _mean(row[task], "attitude_rms_deg")
-            line.append(f"{100 * off_m:.1f}; {tilt_deg:.1f}")
-        cells.append(line)
-    return "\n".join(aligned(cells))
-
-
-def _mean(rows: Sequence[JsonObject], score: str) -> float:
-    total: float = sum(row[score] for row in rows)
-    return total / len(rows)

@@ -25,12 +25,6 @@ LSTM-PPO with hindsight relabelling."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
 
-RobotTask: TypeAlias = Literal["wrenches", "hold", "lemniscate", "lissajous"]
-"""Tasks on which a robot is evaluated."""
-
-ViewedTask: TypeAlias = Literal["hold", "lemniscate", "lissajous"]
-"""Tasks with a motion that a page can show."""
-
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """Transport of a ROS 2 node; auto uses rclpy if it is installed, otherwise DDS."""
 

@@ -1,1 +1,2 @@
-"""Robots with several fins on one body: allocation of a wrench to the fins, and motion control."""
+"""Robots with several fins on one body: distribution of a wrench among the fins, as the robot's ROS
+2 node runs it."""

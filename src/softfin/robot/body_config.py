@@ -1,4 +1,4 @@
-"""Configuration of a robot's body: inertia, added mass, drag, weight and buoyancy."""
+"""Configuration of a robot's body: inertia, added mass, weight and buoyancy."""
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, model_validator
@@ -19,19 +19,14 @@ SixNotNegative = tuple[
 
 
 class BodyConfig(Configuration):
-    """A rigid body in water; fields with six numbers refer to x, y, z, roll, pitch and yaw, in body
-    axes about the origin."""
+    """A rigid body in water, in body axes about the origin: x forward, y left, z up (REP 103)."""
 
     mass_kg: PositiveFloat
     """Mass [kg]."""
     inertia_kg_m2: Three | tuple[Three, Three, Three]
     """Inertia about the centre of gravity, as three moments or as a matrix [kg m2]."""
     added_mass: SixNotNegative = (0, 0, 0, 0, 0, 0)
-    """Added mass [kg] and added inertia [kg m2]."""
-    drag_linear: SixNotNegative = (0, 0, 0, 0, 0, 0)
-    """Linear drag coefficients [N s/m, N m s]."""
-    drag_quadratic: SixNotNegative = (0, 0, 0, 0, 0, 0)
-    """Quadratic drag coefficients [N s2/m2, N m s2]."""
+    """Added mass along x, y and z [kg], and added inertia about them [kg m2]."""
     centre_of_gravity_m: Three = (0, 0, 0)
     """Centre of gravity [m]."""
     centre_of_buoyancy_m: Three = (0, 0, 0)
@@ -49,19 +44,27 @@ class BodyConfig(Configuration):
         given = np.asarray(self.inertia_kg_m2, float)
         return np.diag(given) if given.ndim == 1 else given
 
-    def own_inertia(self) -> np.ndarray:
-        """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass
+    @property
+    def righting_nm_rad(self) -> float:
+        """Righting stiffness due to weight and buoyancy in roll and pitch [N m/rad]; if negative,
+        the body tips over."""
+        weight = self.mass_kg * GRAVITY_M_S2
+        return self.upward_n * self.centre_of_buoyancy_m[2] - weight * self.centre_of_gravity_m[2]
+
+    def inertia(self) -> np.ndarray:
+        """Return the inertia about the origin as a matrix ``(6, 6)``, including the added mass
         (Fossen 2021, 3.3)."""
         x, y, z = self.centre_of_gravity_m
         # M = [[m I, -m S], [m S, I_g - m S S]], with S v = r_g x v.
         lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         mass = self.mass_kg
-        return np.block(
+        own = np.block(
             [
                 [mass * np.eye(3), -mass * lever],
                 [mass * lever, self.moments() - mass * lever @ lever],
             ]
         )
+        return np.asarray(own + np.diag(self.added_mass))
 
     @model_validator(mode="after")
     def _is_a_body(self) -> "BodyConfig":

@@ -1,20 +1,16 @@
-"""The robot's file: body, fins, allocation and motion control. `ucat` is built in. Does not import
-JAX."""
+"""The robot's file: body, fins and allocation. `ucat` is built in. Does not import JAX."""
 
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, PositiveFloat, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration, parse_yaml, read_yaml
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import AnyArray
 from softfin.robot.body_config import BodyConfig, Three
-from softfin.robot.control_config import AllocationConfig, ControlConfig
-from softfin.robot.rotation import cross
 
 BUILT_IN = ("ucat",)
 """Robots included in softfin."""
@@ -24,9 +20,17 @@ WRENCH_AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 UNIT_TOLERANCE = 1e-3
 
+Six: TypeAlias = tuple[
+    PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat
+]
+
+MaxThrust: TypeAlias = PositiveFloat | dict[str, PositiveFloat]
+"""Maximum mean force that each fin can produce in every direction [N]: one number for all, or one
+per fin name."""
+
 
 class FinMountConfig(Configuration):
-    """A fin's mount on the body, and the fin's plant."""
+    """A fin's mount on the body."""
 
     position_m: Three
     """Position of the shaft, where the fin's force acts [m]."""
@@ -34,11 +38,6 @@ class FinMountConfig(Configuration):
     """Unit vector of the fin's thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
     shaft_axis: Three
     """Unit vector along the shaft; positive angles follow the right-hand rule."""
-    range_rad: tuple[float, float] | None = None
-    """Minimum and maximum shaft angle [rad]; None means unlimited rotation. Limited ranges are not
-    supported yet."""
-    plant: str = "tank"
-    """Plant of the fin: tank, or the YAML file of another tank; ignored on a real robot."""
 
     @model_validator(mode="after")
     def _has_axes(self) -> "FinMountConfig":
@@ -55,11 +54,6 @@ class FinMountConfig(Configuration):
                 f"zero_direction and shaft_axis have the scalar product {along:.3g}, but a fin "
                 "pushes at right angles to its shaft; make them perpendicular"
             )
-        if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
-            raise ValueError(
-                f"range_rad = {list(self.range_rad)}: the first angle must be smaller than the "
-                "second; use ascending angles"
-            )
         return self
 
     def axes(self) -> Float[np.ndarray, "3 2"]:
@@ -70,22 +64,22 @@ class FinMountConfig(Configuration):
         return np.stack([x, np.cross(x, shaft)], axis=1)
 
 
-class FinMounts(NamedTuple):
-    """Mounts of all fins of a robot, in body axes."""
+class AllocationConfig(Configuration):
+    """Allocation of a wrench to the fins."""
 
-    places: Float[np.ndarray, "fins 3"]
-    """Positions of the shafts [m]."""
-    axes: Float[np.ndarray, "fins 3 2"]
-    """x and y axes of each fin's forces, as columns."""
-    shafts: Float[np.ndarray, "fins 3"]
-    """Unit vectors along the shafts."""
-
-    def velocities(self, twist: Float[AnyArray, "6"]) -> list[Float[AnyArray, "2"]]:
-        """Return each mount's velocity in the fin's axes [m/s] for a twist of the body [m/s,
-        rad/s]."""
-        # v + omega x r, in the axes of the fin.
-        places = zip(self.places, self.axes, strict=True)
-        return [(twist[:3] + cross(twist[3:], place)) @ axes for place, axes in places]
+    priority: Six = (1, 1, 1, 30, 30, 30)
+    """Cost of a squared wrench error for each axis; 1 N m costs about as much as 5 N, because a
+    tilted robot pushes in the wrong direction."""
+    brace_n: NonNegativeFloat = 1.5
+    """Minimum force of each fin, as far as the others can cancel it [N]. The direction of a weak
+    force jumps with every small change of the wrench, and a fin that swings around pushes sideways.
+    0 means no bracing."""
+    brace_change: NonNegativeFloat = 1.0
+    """Cost of changing the bracing, which swings fins around, relative to that of a squared force
+    error [N2]."""
+    smoothing: float = Field(0.5, ge=0, lt=1)
+    """Fraction of a change of the forces that is postponed to the next action: a swing spread over
+    two actions causes half the disturbance and a delay of half an action."""
 
 
 class RobotConfig(Configuration):
@@ -93,39 +87,45 @@ class RobotConfig(Configuration):
 
     name: str
     """Name of the robot."""
-    size_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.5, 0.3, 0.2)
-    """Length, width and height [m]; used only for drawing."""
     body: BodyConfig
     """Body without its fins."""
-    fins: dict[str, FinMountConfig] = Field(min_length=1, max_length=7)
-    """Fins by name; at most 7, because all phase patterns are tried."""
+    fins: dict[str, FinMountConfig] = Field(min_length=1)
+    """Fins by name."""
     allocation: AllocationConfig = AllocationConfig()
     """Allocation of a wrench to the fins."""
-    control: ControlConfig = ControlConfig()
-    """Motion control."""
     silent_fin: Literal["stop", "dead"] = "stop"
     """Reaction to a fin that has a fault or falls silent. stop: stop the robot; dead: continue
     without the fin."""
 
-    def mounts(self) -> FinMounts:
-        """Return the mounts of all fins, in the order of `fins`."""
-        fins = self.fins.values()
-        return FinMounts(
-            np.array([fin.position_m for fin in fins], float),
-            np.array([fin.axes() for fin in fins]),
-            np.array([fin.shaft_axis for fin in fins], float),
-        )
-
     def matrix(self) -> Float[np.ndarray, "6 columns"]:
         """Return the allocation matrix: its columns are the wrenches on the body, in body axes, of
         unit forces along x and y of the first fin, then of the second, and so on."""
-        places, axes, _ = self.mounts()
         # For each fin: its axes (force), stacked on position x axes (moment).
-        columns = [
-            np.concatenate([a, np.cross(place, a, axisb=0).T])
-            for place, a in zip(places, axes, strict=True)
-        ]
+        columns = []
+        for fin in self.fins.values():
+            axes = fin.axes()
+            moments = np.cross(np.asarray(fin.position_m), axes, axisb=0).T
+            columns.append(np.concatenate([axes, moments]))
         return np.concatenate(columns, axis=1)
+
+
+def max_thrust_per_fin(robot: RobotConfig, max_thrust: MaxThrust | None) -> list[float]:
+    """Return the maximum mean force of each fin [N]; raises ConfigurationError if one is
+    missing."""
+    names = list(robot.fins)
+    if max_thrust is None:
+        raise ConfigurationError(
+            "max_thrust: missing; set it to the maximum mean force that each fin can produce in "
+            "every direction with its controller [N], e.g. --max-thrust 3"
+        )
+    if not isinstance(max_thrust, dict):
+        return [max_thrust] * len(names)
+    if set(max_thrust) != set(names):
+        raise ConfigurationError(
+            f"max_thrust is for {', '.join(max_thrust)}, but {robot.name} has {', '.join(names)}; "
+            "set one number for all fins, or one for each fin"
+        )
+    return [max_thrust[name] for name in names]
 
 
 def load_robot(name: str) -> RobotConfig:

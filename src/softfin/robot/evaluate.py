@@ -1,295 +1,262 @@
-"""Evaluation of a robot in simulation: wrenches, station keeping with a push and a current, and
-paths, with all fins or with one dead."""
+"""Evaluation of a robot's node in simulation: a target wrench in, the wrench of simulated fins out.
+
+The chain is that of `softfin robot ros2`: `FinReferences` distributes the wrench, and each fin's
+controller tracks its reference at the controller's own clock, as in a separate `softfin ros2`
+process. The body does not move, and each fin beats in a tank.
+"""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
+from pydantic import Field, PositiveInt
 
-from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.choices import RobotTask
+from softfin.control.controller import ControllerState, LoadedController, Measured
+from softfin.control.references import nearest_trackable
+from softfin.core.action_clock import ActionClock
+from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import RATE_HZ, TICK_S
-from softfin.core.randomness import named_generator
-from softfin.robot.baselines import MakeDriver, build_drivers
-from softfin.robot.body_config import Three
-from softfin.robot.description import WRENCH_AXES, RobotConfig
-from softfin.robot.fin_driver import FinGaits
-from softfin.robot.fin_gaits import find_fin_gaits
-from softfin.robot.noise import NoiseConfig
-from softfin.robot.paths import hold_place, lemniscate, lissajous
-from softfin.robot.simulation import Orders, RobotSimulation
-from softfin.robot.trial import Disturbances, Record, rest_commands, run_trial, stack_commands
-from softfin.robot.wrench_driver import WrenchDriver
-from softfin.tank import Tank
+from softfin.core.plant import Ticks, drop_padding, masked_mean, repeat
+from softfin.core.quantities import TICK_S, Reading
+from softfin.core.randomness import named_generator, named_key
+from softfin.robot.allocation import SixVector
+from softfin.robot.description import WRENCH_AXES, MaxThrust, RobotConfig, max_thrust_per_fin
+from softfin.robot.references import NODE_CLOCK, FinReferences
+from softfin.tank import Tank, TankState
+from softfin.tank.tank import Load
 
-ReportNote = Callable[[float, str], None]
+PART_OF_REACH = 0.7
+"""Fraction of each fin's maximum thrust within which the fin forces of targets are drawn."""
 
-MIN_COUNTED_S = PAPER_CLOCK.max_ticks * TICK_S
-"""Shortest evaluated part of a trial [s]: one action, half of which may be lost by rounding to
-whole actions."""
+WINDOWS = 10
+"""Number of windows for which each target is held, from rest; the errors are those of the second
+half."""
 
-EARLIEST_DEATH = 0.2
-LATEST_DEATH = 0.6
-"""Range of the time at which a fin dies, as fractions of a trial's duration."""
+ReportPart: TypeAlias = Callable[[float, str], None]
+"""Function that shows the completed fraction and a note."""
 
 
 class RobotEvaluateConfig(Configuration):
     """Configuration of a robot's evaluation."""
 
-    tasks: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
-    """Tasks, in the order of execution."""
-    seeds: PositiveInt = 5
-    """Number of repetitions, each with its own noise and directions of push and current."""
-    wrenches: PositiveInt = 100
-    """Number of random wrenches."""
-    part_of_reach: float = Field(0.7, gt=0, le=1)
-    """Fraction of the reach within which the wrenches are drawn."""
-    hold_s: PositiveFloat = 120
-    """Duration of station keeping [s], rounded to whole actions of 1/3 s."""
-    path_s: PositiveFloat = 150
-    """Duration of path following [s], rounded to whole actions of 1/3 s."""
-    settled_s: PositiveFloat = 30
-    """Time after the start, the push and a fin's death during which errors are not evaluated
-    [s]."""
-    push_n_s: float = Field(1.0, ge=0)
-    """Horizontal push on the body during station keeping [N s]."""
-    current_m_s: float = Field(0.05, ge=0)
-    """Horizontal current during station keeping [m/s]."""
-    lemniscate_m_s: PositiveFloat = 0.1
-    """Mean speed along the lemniscate, 2 m by 1 m [m/s]."""
-    lissajous_m_s: PositiveFloat = 0.1
-    """Mean speed along the Lissajous curve, 2 m by 1 m by 0.5 m [m/s]."""
-    baselines: bool = False
-    """Whether to evaluate simpler drivers as well: without phases, with the pseudo-inverse, and
-    with an analytic model of the fin."""
-    dead: bool = False
-    """Whether one fin dies at a random time in every trial, each fin in turn."""
-    noise: NoiseConfig = NoiseConfig()
-    """Noise of the robot's state estimate."""
+    max_thrust: MaxThrust | None = None
+    """Maximum mean force that each fin can produce in every direction [N]: one number for all, or
+    one per fin name. Required, as for the ROS 2 node."""
+    targets: PositiveInt = 20
+    """Number of random target wrenches."""
+    repeats: PositiveInt = 5
+    """Repetitions of each target; each fin starts at a random time."""
+    dead: str | None = None
+    """Name of a fin that the node has declared dead; it does not move."""
     seed: int = Field(0, ge=0)
-    """Seed of all random numbers."""
-
-    @model_validator(mode="after")
-    def _settles(self) -> "RobotEvaluateConfig":
-        for task in self.tasks:
-            if task == "wrenches":
-                continue
-            name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
-            # The push occurs between 1 and 2 times `settled_s`, and errors are evaluated again
-            # another `settled_s` later.
-            least = self.settled_s * (3 if task == "hold" else 1) + MIN_COUNTED_S
-            if self.dead:
-                least = max(least, (self.settled_s + MIN_COUNTED_S) / (1 - LATEST_DEATH))
-            if seconds < least:
-                raise ValueError(
-                    f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
-                    f"{self.settled_s:g}, otherwise nothing is evaluated"
-                )
-        return self
+    """Seed of targets, starting times and sensors."""
 
 
-class RobotEvaluation(NamedTuple):
-    """Figures for every task, and the record of each task's first trial."""
+class SimulatedFin(NamedTuple):
+    """A fin in a tank, with its own controller."""
 
-    figures: JsonObject
-    records: dict[str, Record]
+    controller: LoadedController
+    tank: Tank
+
+
+class ReferenceSeries(NamedTuple):
+    """References of all fins for one target wrench, one row per action of the node."""
+
+    forces: Float[np.ndarray, "actions fins 2"]
+    """Reference of each fin, in the fin's axes [N]."""
+    wrench: Float[np.ndarray, "actions 6"]
+    """Total wrench of the references, in body axes [N, N m]."""
+    given_up: Bool[np.ndarray, "actions 6"]
+    """Axes in which the target is out of reach."""
 
 
 def evaluate_robot(
     robot: RobotConfig,
-    tanks: Sequence[Tank],
+    fins: Sequence[SimulatedFin],
     config: RobotEvaluateConfig,
-    report: ReportNote = lambda *_: None,
-) -> RobotEvaluation:
-    """Evaluate a robot in simulation, with `tanks` as its fins."""
-    report(0.0, "gaits of the fins")
-    gaits = find_all_gaits(tanks)
-    simulation = RobotSimulation(robot, tanks)
-    drivers = build_drivers(robot, gaits)
-    figures: JsonObject = {
-        "robot": robot.name,
-        "reach_n": [round(each.reach, 3) for each in gaits],
-    }
-    records: dict[str, Record] = {}
-    wrenches = draw_wrenches(robot, gaits, config)
-    done = 0
-    total = len(config.tasks) * config.seeds
-    for task in config.tasks:
-        if task == "wrenches":
-            figures[task] = wrench_errors(simulation, drivers["whole"], wrenches)
-            free = wrench_errors(simulation, drivers["without phases"], wrenches)
-            figures[task]["roll_ripple_ratio"] = (
-                figures[task]["ripple"]["roll"] / free["ripple"]["roll"]
-            )
-            done += config.seeds
-            continue
-        rows = []
-        for seed in range(config.seeds):
-            report(done / total, f"{task}, seed {seed}")
-            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed)
-            rows.append(row)
-            records.setdefault(task, record)
-            done += 1
-        figures[task] = rows
-    if config.baselines:
-        figures["baselines"] = {}
-        for name, driver in drivers.items():
-            report(0.99, f"baseline: {name}")
-            scores: JsonObject = {"wrenches": wrench_errors(simulation, driver, wrenches)}
-            for task in config.tasks:
-                if task != "wrenches":
-                    seeds = range(config.seed, config.seed + config.seeds)
-                    scores[task] = [
-                        trial(simulation, driver, task, config, seed)[1] for seed in seeds
-                    ]
-            figures["baselines"][name] = scores
-    report(1.0, "")
-    return RobotEvaluation(figures, records)
-
-
-def find_all_gaits(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
-    """Find the gaits of each fin; fins with the same plant share them."""
-    found: dict[int, FinGaits] = {}
-    for tank in tanks:
-        if id(tank) not in found:
-            found[id(tank)] = find_fin_gaits(tank)
-    return tuple(found[id(tank)] for tank in tanks)
-
-
-def trial(
-    simulation: RobotSimulation,
-    driver: MakeDriver,
-    task: RobotTask,
-    config: RobotEvaluateConfig,
-    seed: int,
-) -> tuple[Record, JsonObject]:
-    """Run one trial of a task, and return its record and errors."""
-    random = named_generator(seed, f"robot/{task}")
-    trouble = Disturbances()
-    settled_from_s = config.settled_s
-    seconds = float(config.path_s)
-    told: JsonObject = {"seed": seed}
-    if task == "hold":
-        seconds = float(config.hold_s)
-        path = hold_place()
-        # Directions [rad].
-        current, push = random.uniform(-np.pi, np.pi, 2)
-        trouble = trouble._replace(
-            current_m_s=_horizontal(config.current_m_s, current),
-            push_n_s=_horizontal(config.push_n_s, push),
-            push_at_s=random.uniform(1, 2) * config.settled_s,
-        )
-        told["current_from_deg"] = round(float(np.degrees(current)) % 360 - 180)
-        told["push_at_s"] = round(trouble.push_at_s, 1)
-    elif task == "lissajous":
-        speed = config.lissajous_m_s
-        path = lissajous(speed)
-    else:
-        speed = config.lemniscate_m_s
-        path = lemniscate(speed)
-    if config.dead:
-        fins = list(simulation.robot.fins)
-        fin = seed % len(fins)
-        at = random.uniform(EARLIEST_DEATH, LATEST_DEATH) * seconds
-        trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
-        settled_from_s = at + config.settled_s
-        told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
-    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
-    # From the record, because a trial consists of whole actions and may be slightly longer or
-    # shorter than `seconds`.
-    ticks = np.arange(len(record.time))
-    counted = ticks >= settled_from_s * RATE_HZ
-    if task == "hold":
-        settled_again_s = trouble.push_at_s + config.settled_s
-        # Exclude the time from the push until the robot has settled again.
-        counted &= (ticks < trouble.push_at_s * RATE_HZ) | (ticks >= settled_again_s * RATE_HZ)
-    position = record.position_error()[counted]
-    attitude = record.attitude_error()[counted]
-    told |= {
-        "position_rms_m": _rms(position),
-        "position_worst_m": float(position.max()),
-        "attitude_rms_deg": float(np.degrees(_rms(attitude))),
-        "attitude_worst_deg": float(np.degrees(attitude.max())),
-        "given_up": dict(zip(WRENCH_AXES, record.given_up.mean(axis=0).tolist(), strict=True)),
-    }
-    if task != "hold":
-        told["speed_m_s"] = float(speed)
-    return record, told
-
-
-def _horizontal(size: float, angle: float) -> Three:
-    return size * np.cos(angle), size * np.sin(angle), 0.0
-
-
-def _rms(values: Float[np.ndarray, "n"]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def draw_wrenches(
-    robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
-) -> Float[np.ndarray, "n 6"]:
-    """Draw the wrenches of random fin forces, which are uniform over disks with a fraction of each
-    fin's reach as their radius."""
-    random = named_generator(config.seed, "robot/wrenches")
-    reach = np.array([each.reach for each in gaits])
-    # The square root makes the distribution uniform over the disk.
-    size = (
-        config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
-    )
-    angle = random.uniform(-np.pi, np.pi, size.shape)
-    forces = np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1)
-    return np.asarray(forces.reshape(config.wrenches, -1) @ robot.matrix().T)
-
-
-WRENCH_ACTIONS = 4 * PAPER_CLOCK.window_actions
-"""Number of actions for which each wrench is held, from rest; only the last window is evaluated."""
-
-
-def wrench_errors(
-    simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
+    report: ReportPart = lambda *_: None,
 ) -> JsonObject:
-    """Compare the mean wrenches over a window with the target wrenches, on a fixed body; also
-    return their ripple."""
-    orders = [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
-    held = _held(simulation, orders)
-    window = slice(-PAPER_CLOCK.window_ticks, None)
-    error = held[:, window].mean(axis=1) - wrenches
-    force_error = np.linalg.norm(error[:, :3], axis=1)
-    moment_error = np.linalg.norm(error[:, 3:], axis=1)
-    ripple = np.sqrt(held[:, window].var(axis=1).mean(axis=0))
+    """Compare the mean wrench of the fins on a fixed body with random target wrenches.
+
+    Returns:
+        For each axis, averages over targets and repetitions [N, N m].
+    """
+    max_thrust_n = max_thrust_per_fin(robot, config.max_thrust)
+    dead = find_dead(robot, config.dead)
+    targets = draw_targets(robot, max_thrust_n, dead, config)
+    window_ticks = max(fin.controller.clock.window_ticks for fin in fins)
+    ticks = WINDOWS * window_ticks
+    series = [fin_references(robot, max_thrust_n, dead, target, ticks) for target in targets]
+    references = np.stack([each.forces for each in series])
+    tracked = references.copy()
+    wrench = np.zeros((config.targets, config.repeats, ticks, 6))
+    matrix = robot.matrix()
+    random = named_generator(config.seed, "robot/starts")
+    for index, (fin, (name, mount)) in enumerate(zip(fins, robot.fins.items(), strict=True)):
+        # A fin's node does not know the phases of the others.
+        starts = random.integers(fin.controller.clock.window_ticks, size=config.repeats)
+        if index in dead:
+            continue
+        report(index / len(fins), name)
+        # A fin's node replaces unreachable references in the same way.
+        asked = references[:, :, index]
+        tracked[:, :, index] = nearest_trackable(fin.controller, asked.reshape(-1, 2)).reshape(
+            asked.shape
+        )
+        key = named_key(config.seed, f"robot/{name}")
+        forces, torques = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
+        wrench += forces @ matrix[:, 2 * index : 2 * index + 2].T
+        # The fin's torque about its shaft adds to the moment of its force.
+        wrench[..., 3:] += torques[..., None] * np.asarray(mount.shaft_axis)
+    report(1.0, "")
+    counted = wrench[:, :, ticks // 2 :]
+    errors = np.abs(counted.mean(axis=2) - targets[:, None])
+    tracked_wrench = tracked[:, -1].reshape(config.targets, -1) @ matrix.T
+    replaced = (tracked != references).any(axis=3).sum() / (
+        config.targets * references.shape[1] * (len(fins) - len(dead))
+    )
     return {
-        "count": len(wrenches),
-        "force_error_n": float(force_error.mean()),
-        "force_error_worst_n": float(force_error.max()),
-        "moment_error_nm": float(moment_error.mean()),
-        "moment_error_worst_nm": float(moment_error.max()),
-        "ripple": dict(zip(WRENCH_AXES, ripple.tolist(), strict=True)),
+        "robot": robot.name,
+        "dead": config.dead,
+        "seconds": ticks * TICK_S,
+        "target": _per_axis(np.abs(targets).mean(axis=0)),
+        "error": _per_axis(errors.mean(axis=(0, 1))),
+        "error_worst": _per_axis(errors.max(axis=(0, 1))),
+        "error_of_references": _per_axis(np.abs(tracked_wrench - targets).mean(axis=0)),
+        "ripple": _per_axis(counted.std(axis=2).mean(axis=(0, 1))),
+        "targets_given_up": sum(bool(each.given_up[-1].any()) for each in series),
+        "references_unreachable": round(float(replaced), 4),
     }
 
 
-def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
-    """Return a driver's orders for one wrench, from rest, with fields ``(actions, fins)``."""
-    state = driver.init()
-    orders = []
-    before = rest_commands(driver)
-    for _ in range(WRENCH_ACTIONS):
-        state, driven = driver.act(state, wrench)
-        now = stack_commands(driven.commands)
-        orders.append(Orders(before, now, jnp.asarray(driven.delays)))
-        before = now
-    stacked: Orders = jax.tree.map(lambda *rows: np.stack(rows), *orders)
-    return stacked
+def find_dead(robot: RobotConfig, name: str | None) -> tuple[int, ...]:
+    """Return the indices of the dead fins: one or none; raises ConfigurationError for an unknown
+    fin."""
+    if name is None:
+        return ()
+    names = list(robot.fins)
+    if name not in names:
+        raise ConfigurationError(f"dead = {name}: unknown fin; use one of {', '.join(names)}")
+    return (names.index(name),)
 
 
-def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
-    """Return the fins' wrenches on a fixed body."""
-    together = jax.tree.map(lambda *rows: np.stack(rows), *orders)
-    wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(together), float)
-    return wrenches.reshape(len(orders), -1, 6)[:, np.array(PAPER_CLOCK.valid_rows(WRENCH_ACTIONS))]
+def draw_targets(
+    robot: RobotConfig,
+    max_thrust_n: Sequence[float],
+    dead: Sequence[int],
+    config: RobotEvaluateConfig,
+) -> Float[np.ndarray, "targets 6"]:
+    """Draw the wrenches of random fin forces, which are uniform over disks with `PART_OF_REACH` of
+    each fin's maximum thrust as their radius."""
+    random = named_generator(config.seed, "robot/targets")
+    shape = (config.targets, len(max_thrust_n))
+    # The square root makes the distribution uniform over the disk.
+    size = PART_OF_REACH * np.array(max_thrust_n) * np.sqrt(random.uniform(size=shape))
+    size[:, list(dead)] = 0
+    angle = random.uniform(-np.pi, np.pi, shape)
+    forces = np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1)
+    return np.asarray(forces.reshape(config.targets, -1) @ robot.matrix().T)
+
+
+def fin_references(
+    robot: RobotConfig,
+    max_thrust_n: Sequence[float],
+    dead: Sequence[int],
+    target: SixVector,
+    ticks: int,
+) -> ReferenceSeries:
+    """Return the references that the node sends within `ticks`, from its start, for a constant
+    target wrench."""
+    node = FinReferences(robot, max_thrust_n)
+    for fin in dead:
+        node.declare_dead(fin)
+    actions = [node.act(target) for _ in range(NODE_CLOCK.actions_within(ticks))]
+    return ReferenceSeries(*(np.stack(rows) for rows in zip(*actions, strict=True)))
+
+
+def fin_loads(
+    fin: SimulatedFin,
+    references: Float[np.ndarray, "targets actions 2"],
+    starts: Int[np.ndarray, "repeats"],
+    ticks: int,
+    key: PRNGKeyArray,
+) -> tuple[
+    Float[np.ndarray, "targets repeats ticks 2"], Float[np.ndarray, "targets repeats ticks"]
+]:
+    """Return the force [N] of a fin on its mount and the torque about its shaft [N m] in every tick
+    of the node.
+
+    The fin is at rest until its start, a number of ticks after that of the node. At each of its
+    actions, its controller tracks the newest of the node's `references`.
+    """
+    clock = fin.controller.clock
+    actions = clock.actions_within(ticks)
+    newest = newest_references(clock, starts, actions, references.shape[1])
+    keys = jax.random.split(key, len(starts))
+    load = _loads(fin, jnp.asarray(references[:, newest], jnp.float32), keys, clock)
+    force = np.zeros((len(references), len(starts), ticks, 2))
+    torque = np.zeros((len(references), len(starts), ticks))
+    for repeat_index, start in enumerate(starts):
+        force[:, repeat_index, start:] = load.force[:, repeat_index, : ticks - start]
+        torque[:, repeat_index, start:] = load.torque[:, repeat_index, : ticks - start]
+    return force, torque
+
+
+def newest_references(
+    clock: ActionClock, starts: Int[np.ndarray, "repeats"], actions: int, num_references: int
+) -> Int[np.ndarray, "repeats actions"]:
+    """Return the index of the node's newest reference at each action of a fin that starts a number
+    of ticks after the node."""
+    fin_ticks = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
+    sent_ticks = np.cumsum([0, *NODE_CLOCK.action_ticks(num_references)])[:-1]
+    now = starts[:, None] + fin_ticks
+    return np.asarray(np.searchsorted(sent_ticks, now, side="right") - 1)
+
+
+@jit("low")
+def _loads(
+    fin: SimulatedFin,
+    references: Float[Array, "targets repeats actions 2"],
+    keys: Key[Array, "repeats"],
+    clock: ActionClock,
+) -> Load:
+    """Return the loads of a fin from rest, with fields ``(targets, repeats, ticks, ...)``; compiled
+    once for all fins that differ only in their arrays."""
+    controller, tank = fin
+    actions = references.shape[2]
+    Carry: TypeAlias = tuple[ControllerState, TankState, Measured]
+
+    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Load]:
+        memory, state, measured = carry
+        reference, ticks = now
+        memory, command = controller.act(memory, measured, reference)
+
+        def tick(state: TankState) -> tuple[TankState, tuple[Reading, Load]]:
+            state, reading, load = tank.tick(state, command)
+            return state, (reading, load)
+
+        state, (reading, load) = repeat(tick, state, ticks, clock.max_ticks)
+        # Only the first `ticks` rows are valid.
+        measured = Measured(
+            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
+        )
+        return (memory, state, measured), load
+
+    def one(references: Float[Array, "actions 2"], key: PRNGKeyArray) -> Load:
+        rest = Measured(jnp.float32(tank.limits.rest_angle), jnp.zeros(2))
+        carry = (controller.init(), tank.init(key), rest)
+        held = (references, jnp.asarray(clock.action_ticks(actions)))
+        _, load = jax.lax.scan(action, carry, held)
+        return Load(*(drop_padding(rows, actions, clock) for rows in load))
+
+    loads: Load = jax.vmap(jax.vmap(one), in_axes=(0, None))(references, keys)
+    return loads
+
+
+def _per_axis(values: SixVector) -> dict[str, float]:
+    return dict(zip(WRENCH_AXES, (round(float(value), 4) for value in values), strict=True))

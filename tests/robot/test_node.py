@@ -10,11 +10,13 @@ import pytest
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, SafetyStop, SoftfinError
-from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
+from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.node import RosNode
-from softfin.rig.ros2.robot import RobotNode
 from softfin.rig.stop import StopRequest, stopped_by_signals
 from softfin.robot.description import load_robot
+from softfin.robot.evaluate import fin_references
+from softfin.robot.node import RobotNode
+from softfin.robot.node_config import RobotNodeConfig
 from tests import needs
 from tests.patience import HANG_S
 from tests.rig.ros2_memory import MemoryTransport
@@ -137,6 +139,21 @@ def test_four_references_make_the_wrench_that_is_asked_for():
     assert all(np.hypot(*pool.forces(name)[-1]) > 1.4 for name in FINS), (
         "fins that push brace themselves"
     )
+
+
+@pytest.mark.parametrize("dead", [None, "back_left"])
+def test_the_evaluation_has_the_references_that_the_node_sends(dead):
+    pool = Pool(silent_fin="dead")
+    if dead is not None:
+        pool.alive.discard(dead)
+    pool.run(12.0)
+    sent = np.stack([pool.forces(name) for name in FINS], axis=1)
+    indices = [] if dead is None else [FINS.index(dead)]
+    evaluated = fin_references(pool.robot, [4.0] * 4, indices, np.array(WRENCH), ticks=2000)
+    assert len(sent) > 10
+    np.testing.assert_allclose(sent, evaluated.forces[: len(sent)], atol=1e-12)
+    np.testing.assert_allclose(pool.achieved(), evaluated.wrench[: len(sent)], atol=1e-12)
+    assert sent[-1].any(axis=1).tolist() == [name != dead for name in FINS]
 
 
 def test_the_node_of_a_fin_takes_its_reference_and_its_stop():
@@ -380,7 +397,8 @@ def test_a_fin_whose_name_cannot_be_a_topics_is_refused():
 def test_the_node_needs_no_jax():
     code = (
         "import sys, softfin.cli.robot, softfin.cli.driving\n"
-        "from softfin.rig.ros2.robot import RobotNode, RobotNodeConfig\n"
+        "from softfin.robot.node import RobotNode\n"
+        "from softfin.robot.node_config import RobotNodeConfig\n"
         "from softfin.robot.description import load_robot\n"
         "from tests.rig.ros2_memory import MemoryTransport\n"
         "node = RobotNode(MemoryTransport(), load_robot('ucat'), RobotNodeConfig(max_thrust=4), "

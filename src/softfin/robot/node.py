@@ -11,12 +11,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import ConfigurationError, DeviceError, RigError, SafetyStop
+from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.rig.machine import Wrench
 from softfin.rig.pace import Pace
-from softfin.rig.ros2.config import RobotNodeConfig, check_names, fin_topics
+from softfin.rig.ros2.config import check_names, fin_topics
 from softfin.rig.ros2.connection import (
     BOOL,
     Publisher,
@@ -27,9 +26,9 @@ from softfin.rig.ros2.connection import (
 )
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
-from softfin.robot.allocation import Allocation, FinForces
-from softfin.robot.bracing import BracedAllocation
-from softfin.robot.description import WRENCH_AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig, max_thrust_per_fin
+from softfin.robot.node_config import RobotNodeConfig
+from softfin.robot.references import NODE_CLOCK, FinReferences
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 STOPPING_S = 3.0
@@ -94,7 +93,7 @@ class RobotNode:
     ) -> None:
         """`report` receives notes for the user; raises InputError if robot and configuration do not
         match."""
-        self._allocation = BracedAllocation(robot, fin_reach(robot, config))
+        self._references = FinReferences(robot, max_thrust_per_fin(robot, config.max_thrust))
         check_topics(robot, config)
         self.robot = robot
         self.config = config
@@ -108,9 +107,6 @@ class RobotNode:
         )
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
         self._stop = EmergencyStop(transport, config.stop_topic, self._once)
-        self._rest: FinForces = np.zeros((len(self.fins), 2))
-        self._forces = self._rest
-        self._brace = self._rest
 
     def run(self, request: StopRequest) -> None:
         """Wait for the fins, then send references until a stop; in any case, tell every fin to stop
@@ -128,7 +124,7 @@ class RobotNode:
                 f"{self.robot.name}: accepts wrenches on {self.config.reference_topic}"
             )
             # 33, 33 and 34 ticks: three actions per second.
-            for ticks in itertools.cycle(PAPER_CLOCK.ticks):
+            for ticks in itertools.cycle(NODE_CLOCK.ticks):
                 self.send_references()
                 for _ in range(ticks):
                     pace.wait()
@@ -142,23 +138,16 @@ class RobotNode:
         """Publish the references for one action, their total wrench, and whether the target wrench
         is out of reach."""
         wrench = self._wrenches.newest()
-        if wrench is None:
-            # Without this, fins that brace each other would keep beating without a target.
-            action = Allocation(self._rest, np.zeros(6), np.zeros(6, bool))
-        else:
-            action, self._brace = self._allocation.share(
-                np.array(wrench), self._forces, self._brace
+        action = self._references.act(None if wrench is None else np.array(wrench))
+        if action.given_up.any():
+            axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
+            self._once(
+                f"{self.config.reference_topic}: out of the fins' reach in {axes}; for the "
+                f"resulting wrench, see {self.config.wrench_topic}"
             )
-            if action.given_up.any():
-                axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
-                self._once(
-                    f"{self.config.reference_topic}: out of the fins' reach in {axes}; for the "
-                    f"resulting wrench, see {self.config.wrench_topic}"
-                )
-        self._forces = action.forces
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
             self._send_reference(fin, x, y)
-            if number in self._allocation.dead:
+            if number in self._references.dead:
                 self._send(fin.stop, serialized(BOOL, {"data": True}))
         achieved: list[float] = action.wrench.tolist()
         self._send(
@@ -182,7 +171,7 @@ class RobotNode:
         now = self._clock()
         timeout = self.config.fin_timeout_s
         for number, fin in enumerate(self.fins):
-            if number not in self._allocation.dead and fin.is_silent(now, timeout):
+            if number not in self._references.dead and fin.is_silent(now, timeout):
                 reason = f"{fin.name} is silent: nothing on {fin.joint_topic} for {timeout:g} s"
                 if self.robot.silent_fin == "stop":
                     raise SafetyStop(f"{reason}; every fin was told to stop")
@@ -226,8 +215,8 @@ class RobotNode:
             raise SafetyStop(f"{request.trip.reason}; every fin was told to stop")
 
     def _declare_dead(self, number: int, reason: str) -> None:
-        self._allocation.declare_dead(number)
-        if len(self._allocation.dead) == len(self.fins):
+        self._references.declare_dead(number)
+        if len(self._references.dead) == len(self.fins):
             raise SafetyStop(f"{reason}; no fins are left")
         self._once.report(
             f"{reason}: declared dead until this node is restarted; the other fins continue"
@@ -282,34 +271,9 @@ class RobotNode:
         return wrench
 
 
-def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
-    """Return the maximum mean force of each fin [N]; raises ConfigurationError if one is
-    missing."""
-    thrust = config.max_thrust
-    names = list(robot.fins)
-    if thrust is None:
-        raise ConfigurationError(
-            "max_thrust: missing; set it to the maximum mean force that each fin can produce in "
-            "every direction with its controller [N], e.g. --set max_thrust=3"
-        )
-    if not isinstance(thrust, dict):
-        return [thrust] * len(names)
-    if set(thrust) != set(names):
-        raise ConfigurationError(
-            f"max_thrust is for {', '.join(thrust)}, but {robot.name} has {', '.join(names)}; set "
-            "one number for all fins, or one for each fin"
-        )
-    return [thrust[name] for name in names]
-
-
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
     """Raise RigError if a fin is unsuitable or two topics would have the same name."""
-    for name, fin in robot.fins.items():
-        if fin.range_rad is not None:
-            raise RigError(
-                f"{robot.name}: {name} has a limited range, but this node needs fins that can "
-                "push in every direction; if the fin can, remove range_rad"
-            )
+    for name in robot.fins:
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
                 f"{robot.name}: fin {name!r} cannot be part of a topic name; use letters, "

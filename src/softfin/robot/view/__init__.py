@@ -1,1 +1,0 @@
-"""Three-dimensional HTML page of a robot's trial."""
