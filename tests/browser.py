@@ -103,6 +103,8 @@ class Browser:
 
     def open(self, page: Path, state: str = "") -> None:
         """Open a file, and wait until it has drawn twice."""
+        # A change of the state alone would not load the page anew.
+        self.call("Page.navigate", url="about:blank")
         self.call("Page.navigate", url=f"{page.as_uri()}{state}")
         self.run(
             "new Promise((done) => document.readyState === 'complete' ? done() : "
