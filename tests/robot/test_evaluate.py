@@ -121,3 +121,10 @@ def test_references_that_a_fin_cannot_make_are_counted(ucat, fin, exact_fins):
 def test_a_dead_fin_that_the_robot_does_not_have_is_told_with_those_that_it_has(ucat, fin):
     with pytest.raises(ConfigurationError, match=r"dead = tail: .* front_right, back_right"):
         evaluate_robot(ucat, [fin] * 4, RobotEvaluateConfig(max_thrust=3.0, dead="tail"))
+
+
+def test_a_robot_keeps_a_fin(ucat, fin):
+    name = "front_left"
+    alone = ucat.model_copy(update={"fins": {name: ucat.fins[name]}})
+    with pytest.raises(ConfigurationError, match="has no other fin"):
+        evaluate_robot(alone, [fin], RobotEvaluateConfig(max_thrust=3.0, dead=name))

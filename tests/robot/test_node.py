@@ -394,9 +394,10 @@ def test_a_fin_whose_name_cannot_be_a_topics_is_refused():
         )
 
 
-def test_the_node_needs_no_jax():
+def test_the_node_and_the_check_need_no_jax():
     code = (
         "import sys, softfin.cli.robot, softfin.cli.driving\n"
+        "from softfin.cli import main\n"
         "from softfin.robot.node import RobotNode\n"
         "from softfin.robot.node_config import RobotNodeConfig\n"
         "from softfin.robot.description import load_robot\n"
@@ -404,6 +405,7 @@ def test_the_node_needs_no_jax():
         "node = RobotNode(MemoryTransport(), load_robot('ucat'), RobotNodeConfig(max_thrust=4), "
         "print)\n"
         "node.send_references()\n"
+        "main(['robot', 'check', 'ucat', '--max-thrust', '3'])\n"
         "assert 'jax' not in sys.modules and 'equinox' not in sys.modules\n"
     )
     done = subprocess.run(

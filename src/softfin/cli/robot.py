@@ -32,9 +32,11 @@ class RobotCheckArguments(CommandOptions):
     """Maximum mean force that each fin can produce in every direction [N]."""
 
     def __call__(self) -> None:
-        from softfin.stages.robot import check_robot_file
+        from softfin.robot.check import check_robot
+        from softfin.robot.description import load_robot, max_thrust_per_fin
 
-        found = check_robot_file(self.robot, self.max_thrust)
+        robot = load_robot(self.robot)
+        found = check_robot(robot, max_thrust_per_fin(robot, self.max_thrust))
         lines = _reach_lines(found)
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(

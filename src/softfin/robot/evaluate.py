@@ -89,11 +89,10 @@ def evaluate_robot(
     max_thrust_n = max_thrust_per_fin(robot, config.max_thrust)
     dead = find_dead(robot, config.dead)
     targets = draw_targets(robot, max_thrust_n, dead, config)
-    window_ticks = max(fin.controller.clock.window_ticks for fin in fins)
-    ticks = WINDOWS * window_ticks
+    ticks = WINDOWS * max(fin.controller.clock.window_ticks for fin in fins)
     series = [fin_references(robot, max_thrust_n, dead, target, ticks) for target in targets]
     references = np.stack([each.forces for each in series])
-    tracked = references.copy()
+    tracked = track_references(fins, references, dead)
     wrench = np.zeros((config.targets, config.repeats, ticks, 6))
     matrix = robot.matrix()
     random = named_generator(config.seed, "robot/starts")
@@ -103,11 +102,6 @@ def evaluate_robot(
         if index in dead:
             continue
         report(index / len(fins), name)
-        # A fin's node replaces unreachable references in the same way.
-        asked = references[:, :, index]
-        tracked[:, :, index] = nearest_trackable(fin.controller, asked.reshape(-1, 2)).reshape(
-            asked.shape
-        )
         key = named_key(config.seed, f"robot/{name}")
         forces, torques = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
         wrench += forces @ matrix[:, 2 * index : 2 * index + 2].T
@@ -117,9 +111,7 @@ def evaluate_robot(
     counted = wrench[:, :, ticks // 2 :]
     errors = np.abs(counted.mean(axis=2) - targets[:, None])
     tracked_wrench = tracked[:, -1].reshape(config.targets, -1) @ matrix.T
-    replaced = (tracked != references).any(axis=3).sum() / (
-        config.targets * references.shape[1] * (len(fins) - len(dead))
-    )
+    replaced = np.delete((tracked != references).any(axis=3), dead, axis=2)
     return {
         "robot": robot.name,
         "dead": config.dead,
@@ -130,18 +122,20 @@ def evaluate_robot(
         "error_of_references": _per_axis(np.abs(tracked_wrench - targets).mean(axis=0)),
         "ripple": _per_axis(counted.std(axis=2).mean(axis=(0, 1))),
         "targets_given_up": sum(bool(each.given_up[-1].any()) for each in series),
-        "references_unreachable": round(float(replaced), 4),
+        "references_unreachable": round(float(replaced.mean()), 4),
     }
 
 
 def find_dead(robot: RobotConfig, name: str | None) -> tuple[int, ...]:
     """Return the indices of the dead fins: one or none; raises ConfigurationError for an unknown
-    fin."""
+    fin, and for the only one."""
     if name is None:
         return ()
     names = list(robot.fins)
     if name not in names:
         raise ConfigurationError(f"dead = {name}: unknown fin; use one of {', '.join(names)}")
+    if len(names) == 1:
+        raise ConfigurationError(f"dead = {name}: {robot.name} has no other fin; remove this value")
     return (names.index(name),)
 
 
@@ -177,6 +171,22 @@ def fin_references(
         node.declare_dead(fin)
     actions = [node.act(target) for _ in range(NODE_CLOCK.actions_within(ticks))]
     return ReferenceSeries(*(np.stack(rows) for rows in zip(*actions, strict=True)))
+
+
+def track_references(
+    fins: Sequence[SimulatedFin],
+    references: Float[np.ndarray, "targets actions fins 2"],
+    dead: Sequence[int],
+) -> Float[np.ndarray, "targets actions fins 2"]:
+    """Return the forces that the fins track [N]: like a fin's own node, replace unreachable
+    references by the nearest reachable force."""
+    tracked = references.copy()
+    for index, fin in enumerate(fins):
+        if index not in dead:
+            asked = references[:, :, index].reshape(-1, 2)
+            near = nearest_trackable(fin.controller, asked)
+            tracked[:, :, index] = near.reshape(references.shape[0], -1, 2)
+    return tracked
 
 
 def fin_loads(

@@ -1,5 +1,4 @@
-"""Stages for robots with several fins: check of the robot's file, and evaluation of its node in
-simulation."""
+"""Stage for robots with several fins: evaluation of a robot's node in simulation."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -9,20 +8,12 @@ from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
-from softfin.robot.check import check_robot
-from softfin.robot.description import MaxThrust, RobotConfig, load_robot, max_thrust_per_fin
+from softfin.robot.description import RobotConfig, load_robot
 from softfin.robot.evaluate import RobotEvaluateConfig, SimulatedFin, evaluate_robot
 from softfin.stages.evaluation import check_limits
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank
-
-
-def check_robot_file(robot: str, max_thrust: MaxThrust | None) -> JsonObject:
-    """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML
-    file."""
-    config = load_robot(robot)
-    return check_robot(config, max_thrust_per_fin(config, max_thrust))
 
 
 def evaluate(
