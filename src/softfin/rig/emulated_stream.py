@@ -14,7 +14,7 @@ from softfin.core.clock import Clock
 from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.machine import Wrench, rotated
 
-NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
+LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
 """Noise of each channel by the number of the record [N, N m]; small, so that tests can compare
 forces."""
 
@@ -35,7 +35,9 @@ def iterate_due(
 def measure(fin: EmulatedFin, turn: Float[np.ndarray, "3 3"], number: int) -> Wrench:
     """Return the fin's wrench now in the axes of a sensor, with the noise of a record [N, N m];
     `turn` rotates from softfin's axes."""
-    fx, fy, fz, tx, ty, tz = (rotated(fin.now().wrench, turn) + NOISE[number % len(NOISE)]).tolist()
+    fx, fy, fz, tx, ty, tz = (
+        rotated(fin.now().wrench, turn) + LOAD_NOISE[number % len(LOAD_NOISE)]
+    ).tolist()
     return fx, fy, fz, tx, ty, tz
 
 

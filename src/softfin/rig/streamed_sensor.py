@@ -40,7 +40,7 @@ KEPT_S = 2.0
 MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
 
-STUCK_S = 0.9
+CONSTANT_S = 0.9
 """Time for which a channel may keep its value [s]; short enough for a complaint within a second
 after it froze."""
 
@@ -173,7 +173,7 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        longest = STUCK_S * self.config.rate_hz
+        longest = CONSTANT_S * self.config.rate_hz
         # Not every sensor measures more than softfin's two forces.
         self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
         self._force: tuple[float, Wrench] | None = None
