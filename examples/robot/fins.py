@@ -18,6 +18,9 @@ from softfin.tank.fin import Mount
 MOVING = 0.85
 """Fraction of an action within which a fin turns to a new direction [-]."""
 
+SMALL_TURN_RAD = 0.1
+"""Turn up to which a stroke keeps the velocity of its gait [rad]."""
+
 
 class TurningGaits:
     """Gaits that push forward, turned into the direction of each reference.
@@ -41,14 +44,17 @@ class TurningGaits:
         # At angle a the thrust points along (cos a, -sin a); the fin turns there the shorter way.
         turn = math.remainder(math.atan2(-y, x) - self._direction_rad, 2 * math.pi)
         self._direction_rad += turn
+        # Bracing keeps the forces of living fins above the weakest one.
         force = min(max(math.hypot(x, y), self._weakest_n), self._strongest_n)
         turned = measured._replace(angle=measured.angle - self._direction_rad)
         self._memory, command = self._gaits.act(self._memory, turned, (force, 0.0))
         angle = float(command.angle) + self._direction_rad
         # Fast enough to arrive within the action.
         needed = abs(angle - measured.angle) * self._gaits.clock.rate_hz / MOVING
-        velocity = max(float(command.velocity), needed) if abs(turn) > 0.1 else command.velocity
-        return Command(angle, min(float(velocity), self._gaits.limits.velocity_max))
+        velocity = float(command.velocity)
+        if abs(turn) > SMALL_TURN_RAD:
+            velocity = min(max(velocity, needed), self._gaits.limits.velocity_max)
+        return Command(angle, velocity)
 
 
 class TankFins:
