@@ -30,7 +30,7 @@ def asked(monkeypatch):
     configs = []
 
     def fit(logs, config, seed, run_directory, progress):
-        run_directory.log().close()
+        run_directory.log()
         configs.append((config, seed, len(logs)))
         return small.surrogate()
 
@@ -90,7 +90,7 @@ def test_noise_that_hides_the_force_is_a_warning(
     capsys, tmp_path, dataset, monkeypatch, floor_n, warned
 ):
     def fit(logs, config, seed, run_directory, progress):
-        run_directory.log().close()
+        run_directory.log()
         fitted = small.surrogate()
         interval = fitted.interval.model_copy(update={"floor_n": floor_n})
         return StreamingSurrogate(fitted.members, fitted.limits, interval, fitted.familiarity)

@@ -70,11 +70,11 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     write_dataset(tmp_path / "dataset", logs[:3], logs[3:], {"fin": "blue, 2 mm"})
 
     def fit_streaming(logs, config, seed, run_directory, progress):
-        run_directory.log().close()
+        run_directory.log()
         return small.surrogate()
 
     def train_in_process(plant, config, seeds, run_directory, progress, forces):
-        run_directory.log().close()
+        run_directory.log()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
     monkeypatch.setattr(
