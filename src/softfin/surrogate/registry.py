@@ -46,7 +46,8 @@ def find_architecture(name: str) -> "Architecture":
     except Exception as error:
         # The user's code may raise any error.
         raise ConfigurationError(
-            f"surrogate architecture {name}: {type(error).__name__}: {one_line(error)}; use {ARCHITECTURE_NAMES}"
+            f"surrogate architecture {name}: {type(error).__name__}: {one_line(error)}; use "
+            f"{ARCHITECTURE_NAMES}"
         ) from error
     if not isinstance(architecture, Architecture):
         raise ConfigurationError(
