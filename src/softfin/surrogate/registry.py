@@ -23,7 +23,8 @@ ARCHITECTURES = {
 }
 """softfin's own architectures."""
 
-HELP = f"{', '.join(ARCHITECTURES)}, or package.module:ARCHITECTURE (your own)"
+ARCHITECTURE_NAMES = f"{', '.join(ARCHITECTURES)}, or package.module:ARCHITECTURE (your own)"
+"""Names that `find_architecture` accepts, for error messages."""
 
 
 def find_architecture(name: str) -> "Architecture":
@@ -35,7 +36,9 @@ def find_architecture(name: str) -> "Architecture":
     """
     place = ARCHITECTURES.get(name, name)
     if ":" not in place:
-        raise ConfigurationError(f"surrogate architecture {name}: unknown; use {HELP}")
+        raise ConfigurationError(
+            f"surrogate architecture {name}: unknown; use {ARCHITECTURE_NAMES}"
+        )
     from softfin.surrogate.protocol import Architecture
 
     try:
@@ -43,11 +46,12 @@ def find_architecture(name: str) -> "Architecture":
     except Exception as error:
         # The user's code may raise any error.
         raise ConfigurationError(
-            f"surrogate architecture {name}: {type(error).__name__}: {one_line(error)}; use {HELP}"
+            f"surrogate architecture {name}: {type(error).__name__}: {one_line(error)}; use "
+            f"{ARCHITECTURE_NAMES}"
         ) from error
     if not isinstance(architecture, Architecture):
         raise ConfigurationError(
             f"surrogate architecture {name}: a {type(architecture).__name__} is not a "
-            f"softfin.surrogate.Architecture; use {HELP}"
+            f"softfin.surrogate.Architecture; use {ARCHITECTURE_NAMES}"
         )
     return architecture
