@@ -1,12 +1,17 @@
-"""`equinox.filter_jit` with XLA options, for programs that take longer to compile than to run."""
+"""`equinox.filter_jit` with XLA options, for programs that take longer to compile than to run, and
+calls of compiled programs in threads."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, TypeVar, cast
 
 import equinox as eqx
 import jax
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 OPTIMISATION_LEVELS = {"low": 1, "none": 0}
 """XLA's optimisation levels."""
@@ -39,3 +44,13 @@ def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function
         return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=options))
 
     return compile_function
+
+
+def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return the result for each item, computed in one thread per core.
+
+    For functions that spend their time in compiled programs: these run without Python's lock.
+    Threads that call a new program at the same time wait for one compilation.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return list(threads.map(function, items))
