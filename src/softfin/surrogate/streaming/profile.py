@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.core.compilation import map_in_threads
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import cma_es, named_generator
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch, Table
@@ -105,20 +106,22 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     # The initial acceleration: a high value among those that are not merely noise at constant
     # velocity.
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
-    results = []
-    for start in range(STARTS):
+
+    def search(start: int) -> Any:
         # Start from an ideal drive with a delay of 2 or 3 ticks and the maximum velocity of the
         # logs. The error has local minima at many delays: one search in five ends at a wrong one,
         # so several searches run, the last two with a larger initial step size.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
-        search = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
-        while not search.stop():
-            points = search.ask()
-            point_errors = errors(jnp.asarray(np.stack(points), jnp.float32))
-            search.tell(points, np.asarray(point_errors, np.float64).tolist())
-        results.append(search.result)
+        evolution = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
+        while not evolution.stop():
+            points = evolution.ask()
+            point_errors = errors(np.stack(points).astype(np.float32))
+            evolution.tell(points, np.asarray(point_errors, np.float64).tolist())
+        return evolution.result
+
+    results = map_in_threads(search, range(STARTS))
     best = min(results, key=lambda result: result.fbest)
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
