@@ -17,7 +17,7 @@ from softfin.core.compilation import map_in_threads
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import cma_es, named_generator
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch, Table
-from softfin.tank.drive import delayed, next_velocity
+from softfin.tank.drive import delay_weights, delayed, next_velocity
 
 STEPS_PER_TICK = 2
 """Number of integration steps per tick; the times of corners between ticks are accurate to 5 ms."""
@@ -76,20 +76,28 @@ class Profile(eqx.Module):
         """Advance by one tick under a new command; also return the command in effect, converted to
         measured angles and the velocity of the profile."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
-        obeyed = delayed(queue, self.delay)
+        target = self.target(delayed(queue, self.delay))
+        angle, velocity = self.follow(jnp.asarray(state.angle), jnp.asarray(state.velocity), target)
+        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
+        return ProfileState(angle, velocity, waiting), target
+
+    def target(self, obeyed: Command) -> Command:
+        """Convert the command in effect to measured angles and the velocity of the profile."""
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
-        target = Command(self.gain * obeyed.angle + self.zero, speed)
+        return Command(self.gain * obeyed.angle + self.zero, speed)
+
+    def follow(
+        self, angle: Float[Array, ""], velocity: Float[Array, ""], target: Command
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return angle and velocity one tick later."""
         seconds = TICK_S / STEPS_PER_TICK
-        angle = jnp.asarray(state.angle)
-        velocity = jnp.asarray(state.velocity)
         # angle' = angle + h (v + v') / 2; this trapezoidal rule is exact while the acceleration is
         # constant.
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle = angle + seconds * (velocity + after) / 2
             velocity = after
-        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
-        return ProfileState(angle, velocity, waiting), target
+        return angle, velocity
 
     def motion(self, state: ProfileState) -> Motion:
         """Return the motion of the shaft that follows the profile."""
@@ -149,13 +157,28 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
     """Return the mean absolute angle error in free runs over the segments [rad]."""
 
+    # Rows 0 to MAX_DELAY back from each tick, newest first.
+    ticks = segments.commands.angle.shape[1]
+    rows = MAX_DELAY + jnp.arange(ticks)[:, None] - jnp.arange(MAX_DELAY + 1)
+    weights = delay_weights(MAX_DELAY + 1, profile.delay)
+
     def one(segment: SegmentBatch) -> Float[Array, ""]:
-        def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
-            state, _ = profile.step(state, command)
-            return state, profile.motion(state).angle
+        # The delay is applied to all commands before the loop over the ticks, because one large
+        # product takes less time than a queue of commands within the loop.
+        oldest_first = jax.tree.map(jnp.flip, segment.waiting)
+        history = jax.tree.map(lambda *x: jnp.concatenate(x), oldest_first, segment.commands)
+        targets = profile.target(jax.tree.map(lambda channel: channel[rows] @ weights, history))
+
+        def step(
+            state: tuple[Array, Array], target: Command
+        ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+            state = profile.follow(*state, target)
+            return state, state
 
         before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
-        _, angle = jax.lax.scan(step, profile.start(before, segment.waiting), segment.commands)
-        return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
+        start = profile.start(before, segment.waiting)
+        _, (angle, velocity) = jax.lax.scan(step, (start.angle, start.velocity), targets)
+        shaft = profile.motion(ProfileState(angle, velocity, segment.waiting))
+        return jnp.mean(jnp.abs(shaft.angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))
