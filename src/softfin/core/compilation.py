@@ -23,22 +23,18 @@ OLDER_GENERATOR = (
 )
 
 
-def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function]:
+def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
     """Return a decorator that compiles with the given effort.
 
     Compared with `equinox.filter_jit`, on two cores:
-    - high: two thirds of the compile time; a surrogate's networks train at the same speed.
-    - low: half the compile time; the virtual tank runs at the same speed, but a surrogate's
-      networks are up to 1.5 times slower.
+    - low: half the compile time; the virtual tank and the training of force networks run at the same
+      speed, but force networks without a gradient are up to 1.5 times slower.
     - none: a third of the compile time; everything runs three times slower. For programs that run
       once.
     """
-    options: dict[str, Any] = dict(OLDER_GENERATOR)
-    if effort in OPTIMISATION_LEVELS:
-        has_no_optimisation = cast(Any, jax.config).read("jax_disable_most_optimizations")
-        options["xla_backend_optimization_level"] = (
-            0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
-        )
+    has_no_optimisation = cast(Any, jax.config).read("jax_disable_most_optimizations")
+    level = 0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
+    options: dict[str, Any] = {**OLDER_GENERATOR, "xla_backend_optimization_level": level}
 
     def compile_function(function: Function) -> Function:
         return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=options))

@@ -141,7 +141,7 @@ def gait_sensitivity(
 
     def simulate_batch(batch: PreTanh) -> GaitSensitivity:
         sensitivity: GaitSensitivity = jax.tree.map(
-            np.asarray, _respond(plant, batch, cycles, key, clock)
+            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock)
         )
         return sensitivity
 

@@ -142,7 +142,7 @@ class StreamingLearner:
         def run_member(member: int) -> Any:
             nets, optimiser, motion = single(arrays, member)
             trained = self._program(
-                nets, optimiser, table, motion, np.int32(member), np.int32(first), count, key
+                nets, optimiser, table, motion, jnp.int32(member), jnp.int32(first), count, key
             )
             return jax.tree.map(np.asarray, trained)
 

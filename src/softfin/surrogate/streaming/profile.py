@@ -77,29 +77,29 @@ class Profile(eqx.Module):
         measured angles and the velocity of the profile."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         target = self.target(delayed(queue, self.delay))
-        angle, velocity = self.follow(jnp.asarray(state.angle), jnp.asarray(state.velocity), target)
+        after = self.follow(Motion(state.angle, state.velocity), target)
         waiting = jax.tree.map(lambda channel: channel[:-1], queue)
-        return ProfileState(angle, velocity, waiting), target
+        return ProfileState(after.angle, after.velocity, waiting), target
 
     def target(self, obeyed: Command) -> Command:
         """Convert the command in effect to measured angles and the velocity of the profile."""
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
         return Command(self.gain * obeyed.angle + self.zero, speed)
 
-    def follow(
-        self, angle: Float[Array, ""], velocity: Float[Array, ""], target: Command
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return angle and velocity one tick later."""
+    def follow(self, before: Motion, target: Command) -> Motion:
+        """Advance the motion of the profile by one tick."""
         seconds = TICK_S / STEPS_PER_TICK
+        angle = jnp.asarray(before.angle)
+        velocity = jnp.asarray(before.velocity)
         # angle' = angle + h (v + v') / 2; this trapezoidal rule is exact while the acceleration is
         # constant.
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle = angle + seconds * (velocity + after) / 2
             velocity = after
-        return angle, velocity
+        return Motion(angle, velocity)
 
-    def motion(self, state: ProfileState) -> Motion:
+    def motion(self, state: ProfileState | Motion) -> Motion:
         """Return the motion of the shaft that follows the profile."""
         return Motion(state.angle - self.lag * state.velocity, state.velocity)
 
@@ -156,8 +156,7 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
     """Return the mean absolute angle error in free runs over the segments [rad]."""
-
-    # Rows 0 to MAX_DELAY back from each tick, newest first.
+    # Rows of the commands in the queue at each tick, newest first.
     ticks = segments.commands.angle.shape[1]
     rows = MAX_DELAY + jnp.arange(ticks)[:, None] - jnp.arange(MAX_DELAY + 1)
     weights = delay_weights(MAX_DELAY + 1, profile.delay)
@@ -169,16 +168,13 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
         history = jax.tree.map(lambda *x: jnp.concatenate(x), oldest_first, segment.commands)
         targets = profile.target(jax.tree.map(lambda channel: channel[rows] @ weights, history))
 
-        def step(
-            state: tuple[Array, Array], target: Command
-        ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-            state = profile.follow(*state, target)
-            return state, state
+        def step(motion: Motion, target: Command) -> tuple[Motion, AnyArray]:
+            motion = profile.follow(motion, target)
+            return motion, profile.motion(motion).angle
 
         before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
         start = profile.start(before, segment.waiting)
-        _, (angle, velocity) = jax.lax.scan(step, (start.angle, start.velocity), targets)
-        shaft = profile.motion(ProfileState(angle, velocity, segment.waiting))
-        return jnp.mean(jnp.abs(shaft.angle - segment.motion.angle[1:]))
+        _, angle = jax.lax.scan(step, Motion(start.angle, start.velocity), targets)
+        return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))

@@ -31,13 +31,13 @@ class Products(NamedTuple):
     """One array for each product in the loop: its matrix, its input or its result."""
 
     mixed: Float[Array, "*mixed"]
-    """Odd candidates and mixtures: from the odd memory and the wake."""
+    """Odd candidates and mixtures; inputs: odd memory and wake."""
     gates: Float[Array, "*gates"]
-    """From the even memory, the wake and the magnitudes of the mixtures."""
+    """Gates; inputs: even memory, wake and magnitudes of the mixtures."""
     along: Float[Array, "*wake"]
-    """Vectors towards which the wake relaxes, along the fin: from the new even memory."""
+    """Targets of the wake along the fin; input: new even memory."""
     across: Float[Array, "*wake"]
-    """The same across the fin, from the new odd memory."""
+    """Targets of the wake across the fin; input: new odd memory."""
 
 
 class LoopTerms(NamedTuple):
@@ -69,8 +69,7 @@ class Recording(NamedTuple):
 
 
 Residuals: TypeAlias = tuple[Callable[[Recording], Any], Recording]
-"""The function that maps the gradient of a recording to those of the wake's factors and the terms,
-and the recording."""
+"""Values that the gradient needs: the gradient function of the loop, and its recording."""
 
 
 def segment_forces(net: ForceNet, motion: Motion) -> Float[Array, "batch ticks 2"]:
@@ -124,13 +123,14 @@ def _loop(matrices: Products, kept: Float[Array, "wake"], terms: LoopTerms) -> R
     start = LoopState(Parity(no_memory, no_memory), Parity(still, still))
     # For the gradient, the values within a tick are computed again, which takes less time than to
     # store and load them.
-    return jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, terms)[1]
+    recording: Recording = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, terms)[1]
+    return recording
 
 
 def _forward(
     matrices: Products, kept: Float[Array, "wake"], terms: LoopTerms
 ) -> tuple[Recording, Residuals]:
-    """Run the loop; the matrices are constants of what is differentiated."""
+    """Run the loop, and differentiate it as if the matrices were constants."""
     recording, pull = jax.vjp(partial(_loop, matrices), kept, terms)
     return recording, (pull, recording)
 
