@@ -27,8 +27,8 @@ def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
     """Return a decorator that compiles with the given effort.
 
     Compared with `equinox.filter_jit`, on two cores:
-    - low: half the compile time; the virtual tank and the training of force networks run at the same
-      speed, but force networks without a gradient are up to 1.5 times slower.
+    - low: half the compile time; the virtual tank and the training of force networks run at the
+      same speed, but force networks without a gradient are up to 1.5 times slower.
     - none: a third of the compile time; everything runs three times slower. For programs that run
       once.
     """
