@@ -60,7 +60,7 @@ def keep_best_nets(
         )
 
     loss = jax.tree.map(np.float32, held_out)
-    better = jax.tree.map(np.less, loss, state.best_loss)
+    better = jax.tree.map(lambda new, old: np.asarray(new < old), loss, state.best_loss)
     best = jax.tree.map(pick, better, state.nets, state.best)
     state = state._replace(best=best, best_loss=jax.tree.map(np.minimum, loss, state.best_loss))
     return state, any(each.any() for each in jax.tree.leaves(better))
