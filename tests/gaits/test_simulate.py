@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
-from softfin.gaits.simulate import AMPLITUDES, VELOCITIES, gait_families, strokes
+from softfin.gaits.simulate import (
+    AMPLITUDES,
+    SIDE_BY_SIDE,
+    VELOCITIES,
+    gait_families,
+    gait_sensitivity,
+    strokes,
+)
 from tests.learning.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
@@ -117,3 +124,16 @@ def test_the_slope_of_the_mean_force_is_that_of_finite_differences():
     step = 1e-2
     up, down = (force(gait.at[2, 0].add(sign * step))[0] for sign in (1, -1))
     np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-2)
+
+
+def test_gaits_in_threads_are_those_of_one_thread_to_the_last_bit(monkeypatch):
+    values = np.random.default_rng(0).normal(0, 0.3, (2 * SIDE_BY_SIDE + 1, 12))
+    found = []
+    for cores in (1, 4):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        found.append(
+            gait_sensitivity(AnalyticFin(), values.astype(np.float32), 2, KEY, PAPER_CLOCK)
+        )
+    for alone, together in zip(*found, strict=True):
+        assert len(alone) == len(values)
+        np.testing.assert_array_equal(alone, together)

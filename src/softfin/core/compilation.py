@@ -1,12 +1,17 @@
-"""`equinox.filter_jit` with XLA options, for programs that take longer to compile than to run."""
+"""`equinox.filter_jit` with XLA options, for programs that take longer to compile than to run, and
+calls of compiled programs in threads."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, TypeVar, cast
 
 import equinox as eqx
 import jax
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 OPTIMISATION_LEVELS = {"low": 1, "none": 0}
 """XLA's optimisation levels."""
@@ -18,24 +23,30 @@ OLDER_GENERATOR = (
 )
 
 
-def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function]:
+def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
     """Return a decorator that compiles with the given effort.
 
     Compared with `equinox.filter_jit`, on two cores:
-    - high: two thirds of the compile time; a surrogate's networks train at the same speed.
-    - low: half the compile time; the virtual tank runs at the same speed, but a surrogate's
-      networks are up to 1.5 times slower.
+    - low: half the compile time; the virtual tank and the training of force networks run at the
+      same speed, but force networks without a gradient are up to 1.5 times slower.
     - none: a third of the compile time; everything runs three times slower. For programs that run
       once.
     """
-    options: dict[str, Any] = dict(OLDER_GENERATOR)
-    if effort in OPTIMISATION_LEVELS:
-        has_no_optimisation = cast(Any, jax.config).read("jax_disable_most_optimizations")
-        options["xla_backend_optimization_level"] = (
-            0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
-        )
+    has_no_optimisation = cast(Any, jax.config).read("jax_disable_most_optimizations")
+    level = 0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
+    options: dict[str, Any] = {**OLDER_GENERATOR, "xla_backend_optimization_level": level}
 
     def compile_function(function: Function) -> Function:
         return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=options))
 
     return compile_function
+
+
+def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return the result for each item, computed in one thread per core.
+
+    For functions that spend their time in compiled programs: these run without Python's lock.
+    Threads that call a new program at the same time wait for one compilation.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return list(threads.map(function, items))

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.compilation import jit, map_in_threads
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
@@ -138,8 +138,14 @@ def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
 ) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` must be a result of `jit_argument`."""
-    padded = _batches(np.asarray(pre_tanh), SIDE_BY_SIDE)
-    parts = [_respond(plant, jnp.asarray(part), cycles, key, clock) for part in padded]
+
+    def simulate_batch(batch: PreTanh) -> GaitSensitivity:
+        sensitivity: GaitSensitivity = jax.tree.map(
+            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock)
+        )
+        return sensitivity
+
+    parts = map_in_threads(simulate_batch, _batches(np.asarray(pre_tanh), SIDE_BY_SIDE))
     found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[: len(pre_tanh)], *parts)
     return found
 
@@ -150,7 +156,7 @@ def _batches(rows: np.ndarray, size: int) -> np.ndarray:
     return np.resize(rows, (-(-len(rows) // size), size, *rows.shape[1:]))
 
 
-@eqx.filter_jit
+@jit("low")
 def _respond(
     plant: Plant,
     pre_tanh: Float[Array, "gaits values"],
@@ -255,7 +261,7 @@ def survey(
     return Survey(force.reshape(shape), reachable, clock)
 
 
-@eqx.filter_jit
+@jit("low")
 def _mean_forces(
     plant: Plant, gaits: Float[Array, "n actions 2"], cycles: int, clock: ActionClock
 ) -> Float[Array, "n 2"]:

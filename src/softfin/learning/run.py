@@ -115,13 +115,13 @@ def _init(
     return jax.vmap(_learner(config, plant, table).init)(keys, boxes)
 
 
-@eqx.filter_jit
+@jit("low")
 def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
     # Only `init` needs the table of gaits; afterwards the policy contains it.
     return jax.vmap(_learner(config, plant, None).update)(agents)
 
 
-@eqx.filter_jit
+@jit("low")
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:

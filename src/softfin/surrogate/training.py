@@ -52,17 +52,17 @@ def keep_best_nets(
 
     # `better` is a scalar or has the shape (members,). Axes of length 1 are appended, because NumPy
     # would otherwise broadcast it along the last axis of the weights instead of the first.
-    def pick(better: Array, new: PyTree, old: PyTree) -> PyTree:
+    def pick(better: np.ndarray, new: PyTree, old: PyTree) -> PyTree:
         return jax.tree.map(
-            lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),
+            lambda x, y: np.where(np.expand_dims(better, tuple(range(better.ndim, x.ndim))), x, y),
             new,
             old,
         )
 
-    loss = jax.tree.map(jnp.float32, held_out)
-    better = jax.tree.map(lambda new, old: jnp.asarray(new < old), loss, state.best_loss)
+    loss = jax.tree.map(np.float32, held_out)
+    better = jax.tree.map(lambda new, old: np.asarray(new < old), loss, state.best_loss)
     best = jax.tree.map(pick, better, state.nets, state.best)
-    state = state._replace(best=best, best_loss=jax.tree.map(jnp.minimum, loss, state.best_loss))
+    state = state._replace(best=best, best_loss=jax.tree.map(np.minimum, loss, state.best_loss))
     return state, any(each.any() for each in jax.tree.leaves(better))
 
 

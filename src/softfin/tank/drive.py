@@ -15,6 +15,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
@@ -216,6 +217,12 @@ def delayed(commands: Command, delay: Scalar) -> Command:
     A fractional delay interpolates between two commands, so that the result is differentiable with
     respect to the delay.
     """
-    age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)
-    weights = jnp.maximum(1 - jnp.abs(age - delay), 0.0)
+    weights = delay_weights(commands.angle.shape[0], delay)
     return Command((weights * commands.angle).sum(), (weights * commands.velocity).sum())
+
+
+def delay_weights(count: int, delay: Scalar) -> Float[Array, "count"]:
+    """Return the weights of commands, ordered from newest to oldest, in the command from `delay`
+    ticks ago."""
+    age = jnp.arange(count, dtype=delay.dtype)
+    return jnp.maximum(1 - jnp.abs(age - delay), 0.0)

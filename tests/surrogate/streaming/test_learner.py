@@ -1,3 +1,5 @@
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -6,6 +8,8 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
+from softfin.surrogate.streaming import fit as module
+from softfin.surrogate.streaming.ensemble import forces
 from softfin.surrogate.streaming.fit import StreamingLearner, drive_loss, force_loss
 from softfin.surrogate.streaming.segments import Motion, Table
 from softfin.surrogate.training import keep_best_nets
@@ -99,7 +103,7 @@ def learner():
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
     twins = jax.tree.map(lambda x: jnp.stack([x, x]), small.force_net())
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
-    state, loss = learner.run(learner.start(twins), TABLE, nowhere, jnp.int32(0), 4, KEY)
+    state, loss = learner.run(learner.start(twins), TABLE, nowhere, 0, 4, KEY)
     assert loss[0] != loss[1]
     moved = [
         np.asarray(new - old)
@@ -118,6 +122,33 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
     np.testing.assert_array_equal(later.best.offset[1], state.nets.offset[1] + 1)
 
 
+def trained(learner):
+    """Weights and loss of each member after 8 updates."""
+    nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
+    state, loss = learner.run(learner.start(small.members().force), TABLE, nowhere, 0, 8, KEY)
+    return [np.asarray(leaf) for leaf in jax.tree.leaves((state.nets, loss))]
+
+
+def test_members_in_threads_learn_the_same_to_the_last_bit_as_one_after_the_other(
+    learner, monkeypatch
+):
+    found = []
+    for cores in (1, 4):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        found.append(trained(learner))
+    for alone, together in zip(*found, strict=True):
+        np.testing.assert_array_equal(alone, together)
+
+
+def test_the_loss_is_to_5_digits_that_of_training_by_the_plain_loop(learner, monkeypatch):
+    *_, fast = trained(learner)
+    monkeypatch.setattr(
+        module, "segment_forces", lambda net, motion: jax.vmap(partial(forces, net))(motion)
+    )
+    *_, plain = trained(StreamingLearner(force_loss, CONFIG, 8))
+    np.testing.assert_allclose(fast, plain, rtol=1e-5)
+
+
 def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     compiled = []
     loss = learner.loss
@@ -130,7 +161,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     state = learner.start(small.members().force)
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     for first in (0, 1):
-        state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 4, KEY)
+        state, _ = learner.run(state, TABLE, nowhere, first, 4, KEY)
         state, _ = keep_best_nets(state, jnp.ones(2), jnp.asarray([1.0, 2.0], jnp.float32), "nets")
         once = len(compiled) if first == 0 else once
     assert len(compiled) == once

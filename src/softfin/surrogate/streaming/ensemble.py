@@ -25,6 +25,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pydantic import Field
 from scipy.special import ndtri, stdtrit
 
+from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AnyArray, Command, Log
 from softfin.core.window import window_means
@@ -181,7 +182,7 @@ def _together(
     return results
 
 
-@eqx.filter_jit
+@jit("low")
 def _motions(drives: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
     def predict(drive: FollowingNet) -> Motion:
         motion: Motion = jax.vmap(functools.partial(motions, drive))(before, waiting, commands)
@@ -300,7 +301,7 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))
 
 
-@eqx.filter_jit
+@jit("none")
 def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
     """Return the memory after each row of a motion ``(rows,)`` except the first."""
 

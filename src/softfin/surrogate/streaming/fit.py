@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.compilation import jit
+from softfin.core.compilation import jit, map_in_threads
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
@@ -31,13 +31,14 @@ from softfin.surrogate.streaming.ensemble import (
     calibrated,
     ensemble,
     familiar,
-    forces,
     motions,
     predict_force,
     predict_motion,
+    single,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
+from softfin.surrogate.streaming.segment_forces import segment_forces
 from softfin.surrogate.streaming.segments import (
     Motion,
     Scales,
@@ -108,7 +109,7 @@ class StreamingConfig(SurrogateConfig):
 
 
 class StreamingLearner:
-    """Training step of one kind of network for all members, compiled once."""
+    """Training step of one kind of network, compiled once and run for all members in threads."""
 
     def __init__(self, loss: NetLoss, config: StreamingConfig, updates: int) -> None:
         self.loss = loss
@@ -119,53 +120,66 @@ class StreamingLearner:
             0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100
         )
         self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-        self.run = jit("high")(self._run)
+        self._program = jit("low")(self._run)
 
     def start(self, nets: PyTree) -> TrainingState:
         """Return the state before the first update."""
-        # Without an explicit type, this array would be weakly typed and the second call of `run`
-        # would be compiled again.
-        worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
+        worst = np.full(self.config.members, np.inf, np.float32)
         return TrainingState(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
 
-    def _run(
+    def run(
         self,
         state: TrainingState,
         table: Table,
         predicted: Motion,
+        first: int,
+        count: int,
+        key: PRNGKeyArray,
+    ) -> tuple[TrainingState, Float[np.ndarray, "members"]]:
+        """Run updates `first` to `first + count - 1` and return each member's mean loss."""
+        # One program for all members would be slower: its products are batches of small products,
+        # which XLA computes slowly on a CPU.
+        arrays = jax.tree.map(np.asarray, (state.nets, state.optimiser, predicted))
+
+        def run_member(member: int) -> Any:
+            nets, optimiser, motion = single(arrays, member)
+            trained = self._program(
+                nets, optimiser, table, motion, jnp.int32(member), jnp.int32(first), count, key
+            )
+            return jax.tree.map(np.asarray, trained)
+
+        members = map_in_threads(run_member, range(self.config.members))
+        nets, optimiser, loss = jax.tree.map(lambda *x: np.stack(x), *members)
+        return state._replace(nets=nets, optimiser=optimiser), loss
+
+    def _run(
+        self,
+        net: PyTree,
+        optimiser: PyTree,
+        table: Table,
+        predicted: Motion,
+        member: Int[Array, ""],
         first: Int[Array, ""],
         count: int,
         key: PRNGKeyArray,
-    ) -> tuple[TrainingState, Float[Array, "members"]]:
-        """Run updates `first` to `first + count - 1` and return each member's mean loss.
+    ) -> tuple[PyTree, PyTree, Float[Array, ""]]:
+        """Run the updates of one member; `count` is static."""
 
-        `count` is static.
-        """
-
-        def member(
-            net: PyTree, optimiser: PyTree, predicted: Motion, number: Array, key: PRNGKeyArray
-        ) -> Any:
-            draw, key = jax.random.split(key)
+        def update(carry: PyTree, number: Int[Array, ""]) -> Any:
+            net, optimiser = carry
+            # Keys depend only on the update number, so a resumed run equals an uninterrupted one.
+            keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
+            draw, loss_key = jax.random.split(keys[member])
             segments = table.draw(draw, self.config.batch, self.config.ticks)
             motion = slices(predicted, segments.starts, self.config.ticks + 1)
             loss, slope = jax.value_and_grad(self.loss)(
-                net, segments, motion, number / self.updates, key, self.config
+                net, segments, motion, number / self.updates, loss_key, self.config
             )
             step, optimiser = self.optimiser.update(slope, optimiser, net)
-            return optax.apply_updates(net, step), optimiser, loss
+            return (optax.apply_updates(net, step), optimiser), loss
 
-        def update(carry: PyTree, number: Int[Array, ""]) -> Any:
-            # Keys depend only on the update number, so a resumed run equals an uninterrupted one.
-            keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
-            nets, optimiser = carry
-            each = jax.vmap(member, in_axes=(0, 0, 0, None, 0))
-            nets, optimiser, loss = each(nets, optimiser, predicted, number, keys)
-            return (nets, optimiser), loss
-
-        (nets, optimiser), losses = jax.lax.scan(
-            update, (state.nets, state.optimiser), first + jnp.arange(count)
-        )
-        return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
+        (net, optimiser), losses = jax.lax.scan(update, (net, optimiser), first + jnp.arange(count))
+        return net, optimiser, losses.mean()
 
 
 def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
@@ -208,7 +222,7 @@ def force_loss(
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
     free = jax.random.bernoulli(key, share, (config.batch, 1))
     motion = jax.tree.map(lambda new, old: jnp.where(free, new, old), predicted, segments.motion)
-    error = (jax.vmap(partial(forces, net))(motion) - segments.force) / net.scales.force_n
+    error = (segment_forces(net, motion) - segments.force) / net.scales.force_n
     return jnp.mean(jnp.sum(error**2, axis=-1)[:, config.burn_in :])
 
 
@@ -262,9 +276,7 @@ def fit_streaming(
             until = min(done[name] + round_of, updates[name])
             for first in range(done[name], until, call):
                 count = min(call, until - first)
-                state, loss = learners[name].run(
-                    state, table, predicted, jnp.int32(first), count, key
-                )
+                state, loss = learners[name].run(state, table, predicted, first, count, key)
                 losses.append(loss)
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())

@@ -76,21 +76,37 @@ class MirrorCore(eqx.Module):
 
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
         """Advance by one tick and return the new memory and the outputs."""
-        n = self.units
         # A linear map without bias keeps odd inputs odd. The magnitudes of the mixtures are even,
         # so the gates may depend on them.
         candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
         sizes = magnitude(mixtures)
         gates = jnp.concatenate([memory.even, inputs.even, sizes]) @ self.even_in + self.bias
-        opening = jax.nn.sigmoid(gates[: 2 * n])
-        # h' = h + u (c - h). The product of an odd candidate and an even factor is odd, and so is
-        # its tanh. `gates` contains even gates, odd gates, even candidates and odd factors.
-        even = memory.even + opening[:n] * (jnp.tanh(gates[2 * n : 3 * n]) - memory.even)
-        odd = memory.odd + opening[n:] * (jnp.tanh(candidates * gates[3 * n :]) - memory.odd)
-        hidden = jnp.tanh(jnp.concatenate([even, sizes]) @ self.hidden_in + self.hidden_bias)
+        memory = update_memory(memory, candidates, gates)
+        return memory, self.read(memory, sizes)
+
+    def read(self, memory: Parity, sizes: Float[Array, "units"]) -> Parity:
+        """Return the outputs for a new memory and the magnitudes of its mixtures."""
+        hidden = jnp.tanh(jnp.concatenate([memory.even, sizes]) @ self.hidden_in + self.hidden_bias)
         # The odd outputs are linear in the odd memory, with weights that depend on the even part.
-        factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, n)
-        return Parity(even, odd), Parity(hidden @ self.even_out, factors @ odd)
+        factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, self.units)
+        return Parity(hidden @ self.even_out, factors @ memory.odd)
+
+
+def update_memory(
+    memory: Parity,
+    candidates: Float[Array, "*shape units"],
+    gates: Float[Array, "*shape four_units"],
+) -> Parity:
+    """Return the new memory h' = h + u (c - h).
+
+    `gates` contains the even gates, odd gates, even candidates and odd factors, before their
+    activation functions.
+    """
+    even_gates, odd_gates, even_candidates, factors = jnp.split(gates, 4, axis=-1)
+    even = memory.even + jax.nn.sigmoid(even_gates) * (jnp.tanh(even_candidates) - memory.even)
+    # The product of an odd candidate and an even factor is odd, and so is its tanh.
+    odd = memory.odd + jax.nn.sigmoid(odd_gates) * (jnp.tanh(candidates * factors) - memory.odd)
+    return Parity(even, odd)
 
 
 def magnitude(x: Array) -> Array:
@@ -263,32 +279,54 @@ class ForceNet(eqx.Module):
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
         """Advance to a new motion of the shaft and predict the force reading (x, y) [N]."""
+        rates = self.rates(state.motion, motion)
         # In the frame of the fin, the wake rotates in the opposite direction to the fin.
-        wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
-        # Morison's equation for a moving body: thrust and drag are proportional to the square of
-        # the velocity, the added-mass force to its change. All rates are in units of `scales`.
-        velocity = motion.velocity / self.scales.velocity_rad_s
-        change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
-        drag = velocity * jnp.abs(velocity)
-        rates = jnp.stack([velocity, change, drag])
+        turn = state.motion.angle - motion.angle
+        wake = rotate(state.wake, jnp.cos(turn), jnp.sin(turn))
         memory, outputs = self.core.step(
             state.memory, Parity(wake.even, jnp.concatenate([rates, wake.odd]))
         )
+        pushed = Parity(memory.even @ self.along, memory.odd @ self.across)
+        force = self.force(outputs, rates, motion.angle)
+        return ForceState(memory, relax(wake, pushed, self.kept()), motion), force
+
+    def rates(self, before: Motion, motion: Motion) -> Float[Array, "*shape 3"]:
+        """Return velocity, change of velocity and drag, in units of `scales`, for two successive
+        motions ``(*shape,)``."""
+        velocity = motion.velocity / self.scales.velocity_rad_s
+        change = (motion.velocity - before.velocity) / self.scales.change_rad_s
+        return jnp.stack([velocity, change, velocity * jnp.abs(velocity)], axis=-1)
+
+    def force(
+        self, outputs: Parity, rates: Float[Array, "3"], angle: Float[AnyArray, ""]
+    ) -> Float[Array, "2"]:
+        """Return the force reading (x, y) for the outputs of the core [N]."""
+        # Morison's equation for a moving body: thrust and drag are proportional to the square of
+        # the velocity, the added-mass force to its change.
+        velocity, change, drag = rates
         along = outputs.even[0] + self.thrust @ jnp.stack([velocity**2, velocity * change])
         across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
-        x, y = _turned(along, across, self.mount_turn + motion.angle)
-        force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
-        # Each wake vector w relaxes towards a vector p that depends on the memory, tau dw/dt = p -
-        # w. The exact solution over a tick is w' = k w + (1 - k) p, with k = exp(-TICK_S / tau).
-        kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
-        pushed = Parity(memory.even @ self.along, memory.odd @ self.across)
-        wake = jax.tree.map(lambda old, new: kept * old + (1 - kept) * new, wake, pushed)
-        return ForceState(memory, wake, motion), force
+        turn = self.mount_turn + angle
+        reading = jnp.stack(rotate(Parity(along, across), jnp.cos(turn), jnp.sin(turn)))
+        return self.scales.force_n * (reading + self.offset)
+
+    def kept(self) -> Float[Array, "wake"]:
+        """Return the fraction of each wake vector that remains after a tick."""
+        return jnp.exp(-TICK_S * jnp.exp(-self.log_time))
 
 
-def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
-    """Rotate components along and across a fin at `angle` into the axes in which the angle is
-    measured: x + y = along (cos, -sin) + across (sin, cos)."""
-    cos = jnp.cos(angle)
-    sin = jnp.sin(angle)
-    return along * cos + across * sin, across * cos - along * sin
+def relax(wake: Parity, pushed: Parity, kept: Float[Array, "wake"]) -> Parity:
+    """Advance wake vectors by one tick.
+
+    Each wake vector w relaxes towards a vector p that depends on the memory, tau dw/dt = p - w. The
+    exact solution over a tick is w' = k w + (1 - k) p, with k = exp(-TICK_S / tau).
+    """
+    relaxed: Parity = jax.tree.map(lambda old, new: kept * old + (1 - kept) * new, wake, pushed)
+    return relaxed
+
+
+def rotate(vector: Parity, cos: Array, sin: Array) -> Parity:
+    """Rotate components along and across a fin at an angle, given by its cosine and sine, into the
+    axes in which the angle is measured: x + y = along (cos, -sin) + across (sin, cos)."""
+    along, across = vector
+    return Parity(along * cos + across * sin, across * cos - along * sin)

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from softfin.core.compilation import map_in_threads
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import cma_es, named_generator
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch, Table
-from softfin.tank.drive import delayed, next_velocity
+from softfin.tank.drive import delay_weights, delayed, next_velocity
 
 STEPS_PER_TICK = 2
 """Number of integration steps per tick; the times of corners between ticks are accurate to 5 ms."""
@@ -75,22 +76,30 @@ class Profile(eqx.Module):
         """Advance by one tick under a new command; also return the command in effect, converted to
         measured angles and the velocity of the profile."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
-        obeyed = delayed(queue, self.delay)
+        target = self.target(delayed(queue, self.delay))
+        after = self.follow(Motion(state.angle, state.velocity), target)
+        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
+        return ProfileState(after.angle, after.velocity, waiting), target
+
+    def target(self, obeyed: Command) -> Command:
+        """Convert the command in effect to measured angles and the velocity of the profile."""
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
-        target = Command(self.gain * obeyed.angle + self.zero, speed)
+        return Command(self.gain * obeyed.angle + self.zero, speed)
+
+    def follow(self, before: Motion, target: Command) -> Motion:
+        """Advance the motion of the profile by one tick."""
         seconds = TICK_S / STEPS_PER_TICK
-        angle = jnp.asarray(state.angle)
-        velocity = jnp.asarray(state.velocity)
+        angle = jnp.asarray(before.angle)
+        velocity = jnp.asarray(before.velocity)
         # angle' = angle + h (v + v') / 2; this trapezoidal rule is exact while the acceleration is
         # constant.
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle = angle + seconds * (velocity + after) / 2
             velocity = after
-        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
-        return ProfileState(angle, velocity, waiting), target
+        return Motion(angle, velocity)
 
-    def motion(self, state: ProfileState) -> Motion:
+    def motion(self, state: ProfileState | Motion) -> Motion:
         """Return the motion of the shaft that follows the profile."""
         return Motion(state.angle - self.lag * state.velocity, state.velocity)
 
@@ -105,20 +114,22 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     # The initial acceleration: a high value among those that are not merely noise at constant
     # velocity.
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
-    results = []
-    for start in range(STARTS):
+
+    def search(start: int) -> Any:
         # Start from an ideal drive with a delay of 2 or 3 ticks and the maximum velocity of the
         # logs. The error has local minima at many delays: one search in five ends at a wrong one,
         # so several searches run, the last two with a larger initial step size.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
-        search = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
-        while not search.stop():
-            points = search.ask()
-            point_errors = errors(jnp.asarray(np.stack(points), jnp.float32))
-            search.tell(points, np.asarray(point_errors, np.float64).tolist())
-        results.append(search.result)
+        evolution = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
+        while not evolution.stop():
+            points = evolution.ask()
+            point_errors = errors(np.stack(points).astype(np.float32))
+            evolution.tell(points, np.asarray(point_errors, np.float64).tolist())
+        return evolution.result
+
+    results = map_in_threads(search, range(STARTS))
     best = min(results, key=lambda result: result.fbest)
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
@@ -145,14 +156,25 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
     """Return the mean absolute angle error in free runs over the segments [rad]."""
+    # Rows of the commands in the queue at each tick, newest first.
+    ticks = segments.commands.angle.shape[1]
+    rows = MAX_DELAY + jnp.arange(ticks)[:, None] - jnp.arange(MAX_DELAY + 1)
+    weights = delay_weights(MAX_DELAY + 1, profile.delay)
 
     def one(segment: SegmentBatch) -> Float[Array, ""]:
-        def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
-            state, _ = profile.step(state, command)
-            return state, profile.motion(state).angle
+        # The delay is applied to all commands before the loop over the ticks, because one large
+        # product takes less time than a queue of commands within the loop.
+        oldest_first = jax.tree.map(jnp.flip, segment.waiting)
+        history = jax.tree.map(lambda *x: jnp.concatenate(x), oldest_first, segment.commands)
+        targets = profile.target(jax.tree.map(lambda channel: channel[rows] @ weights, history))
+
+        def step(motion: Motion, target: Command) -> tuple[Motion, AnyArray]:
+            motion = profile.follow(motion, target)
+            return motion, profile.motion(motion).angle
 
         before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
-        _, angle = jax.lax.scan(step, profile.start(before, segment.waiting), segment.commands)
+        start = profile.start(before, segment.waiting)
+        _, angle = jax.lax.scan(step, Motion(start.angle, start.velocity), targets)
         return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))

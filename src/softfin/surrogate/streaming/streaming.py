@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from softfin.core.compilation import jit
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
@@ -270,7 +271,7 @@ class StreamingSurrogate(eqx.Module):
         return cls(trees["members"], limits, interval, trees["familiarity"])
 
 
-@eqx.filter_jit
+@jit("none")
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
     """Return the states of the members after the commands `passed`, one per tick."""
 
