@@ -13,14 +13,14 @@ needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/ful
 
 
 def fill(file):
-    """Put a device without space in place of a file."""
+    """Replace a file with a link to a device that is always full."""
     file.unlink()
     file.symlink_to(FULL)
 
 
 def check_that_a_full_disk_stops(job, work):
-    """The job, which writes to the folder `work`, ends with an error at the third entry of the
-    event file, and keeps its checkpoint."""
+    """Check that a job that writes to the folder `work` ends with an error if the disk is full at
+    the third log entry, and keeps its checkpoint."""
     write = RunLog.write
     entries = itertools.count(1)
 

@@ -1,4 +1,4 @@
-"""Signals that follow the one that stopped the fin: people press Ctrl-C repeatedly."""
+"""Signals after the one that stopped the fin, because people press Ctrl-C repeatedly."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ PLACE = sys.argv[2]
 
 
 class Late:
-    # Python has given up its handlers of signals by then.
+    # Python has already removed its signal handlers at this point.
     def __del__(self, kill=os.kill, number=NUMBER, process=os.getpid()):
         kill(process, number)
 

@@ -23,7 +23,7 @@ sys.stdin.read()
 """
 
 
-def test_a_file_of_another_process_is_refused_until_that_process_is_killed(tmp_path):
+def test_a_file_locked_by_another_process_is_refused_until_that_process_is_killed(tmp_path):
     path = tmp_path / "lock"
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(path)],
@@ -44,9 +44,7 @@ def test_a_file_of_another_process_is_refused_until_that_process_is_killed(tmp_p
     assert describe_holder(path) == f" (process {os.getpid()})"
 
 
-def test_a_file_that_its_holder_removes_before_it_is_locked_is_not_taken_for_the_new_one(
-    tmp_path, monkeypatch
-):
+def test_a_file_that_is_removed_before_it_is_locked_is_created_again(tmp_path, monkeypatch):
     path = tmp_path / "lock"
     lock = fcntl.flock
     removals = iter([path.unlink])
@@ -65,7 +63,7 @@ def test_a_file_that_its_holder_removes_before_it_is_locked_is_not_taken_for_the
 
 
 @pytest.mark.parametrize("content", ["", "nobody", None])
-def test_a_holder_that_is_unknown_is_not_named(tmp_path, content):
+def test_an_unknown_holder_is_not_in_the_message(tmp_path, content):
     path = tmp_path / "lock"
     if content is not None:
         path.write_text(content)

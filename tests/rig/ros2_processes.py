@@ -122,8 +122,8 @@ def within(case: str, folder: Path) -> dict[str, Any]:
         else ()
     )
     environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
-    # A domain that no other test is in: even processes in namespaces of their own share the locks of
-    # this computer.
+    # A domain that no other test uses, because even processes in separate namespaces share the
+    # locks of this computer.
     environment |= {
         "ROS_DOMAIN_ID": str(1 + os.getpid() % 200),
         "ALONE": str(bool(alone)),

@@ -183,7 +183,7 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
         ({"rate_hz": 300.0, "frame": "x,y"}, "frame was y,-x and is x,y, rate_hz was 320.0 and"),
     ],
 )
-def test_a_zero_that_was_set_with_other_settings_is_refused_with_what_changed(
+def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_listed(
     tmp_path, values, words
 ):
     with simulated(sensor="lines") as behind:
@@ -207,7 +207,7 @@ def test_a_zero_that_was_set_with_other_settings_is_refused_with_what_changed(
         opened(changed, behind.clock)
 
 
-def test_a_zero_survives_another_address_and_records_of_earlier_versions(tmp_path):
+def test_a_zero_remains_valid_with_a_new_address_or_a_record_from_an_earlier_version(tmp_path):
     with simulated(sensor="lines") as behind:
         config: RigConfig = config_of(behind)
         config._file = tmp_path / "rig.yaml"

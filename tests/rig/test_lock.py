@@ -18,7 +18,7 @@ from softfin.rig.lock import DeviceLock
 from softfin.rig.rig import Rig, zero_force
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
-from tests.patience import HANG_S
+from tests.patience import HANG_S, wait_until
 from tests.rig.rigs import config_of, patient
 from tests.rig.simple_fin import SimpleFin
 
@@ -124,7 +124,7 @@ def test_a_link_in_place_of_the_lock_is_not_followed(folder):
 
 
 @pytest.mark.parametrize("kind", ["missing", "of root only"])
-def test_a_folder_that_not_every_user_may_write_to_is_used_by_nobody(tmp_path, monkeypatch, kind):
+def test_a_lock_folder_that_some_users_cannot_write_to_is_not_used(tmp_path, monkeypatch, kind):
     """Root could write to it, but would then not see the locks of other users."""
     official = tmp_path / "lock"
     if kind == "of root only":
@@ -133,7 +133,7 @@ def test_a_folder_that_not_every_user_may_write_to_is_used_by_nobody(tmp_path, m
     shared.mkdir()
     monkeypatch.setattr(locks, "LOCK_FOLDER", official)
     monkeypatch.setattr(locks, "SHARED_FOLDER", shared)
-    # A folder of this user's own, as on macOS or by TMPDIR.
+    # A folder for this user only, as on macOS or with TMPDIR.
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     lock = DeviceLock("drive 1", "can0", 1)
     lock.acquire(REAL)
@@ -142,7 +142,7 @@ def test_a_folder_that_not_every_user_may_write_to_is_used_by_nobody(tmp_path, m
     lock.release()
 
 
-def test_the_program_that_has_a_lock_is_asked_to_end(folder):
+def test_the_program_that_holds_a_lock_is_asked_to_exit(folder):
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
         assert lock.take_over(REAL)
@@ -155,12 +155,13 @@ def test_a_program_that_does_not_end_keeps_its_lock(folder, monkeypatch):
     with another_program(folder) as other:
         # A stopped process does not handle signals.
         other.send_signal(signal.SIGSTOP)
+        wait_until(lambda: "State:\tT" in Path(f"/proc/{other.pid}/status").read_text())
         lock = DeviceLock("drive 1", "can0", 1)
         assert not lock.take_over(REAL)
         assert other.poll() is None
 
 
-def test_a_program_that_only_has_the_number_of_a_holder_is_left_alone(folder, monkeypatch):
+def test_an_unrelated_program_with_the_id_in_the_lock_file_is_not_stopped(folder, monkeypatch):
     monkeypatch.setattr(locks, "TAKE_OVER_S", 0.05)
     holder = DeviceLock("drive 1", "can0", 1)
     holder.acquire(REAL)

@@ -1,4 +1,4 @@
-"""At the end of a session, the operator learns that many of the sensor's records were lost."""
+"""Warning at the end of a session if many sensor records were lost."""
 
 from itertools import count
 
@@ -17,7 +17,8 @@ from tests.rig.rigs import values_of
 
 
 def warnings_of(transmit, is_stopped=False):
-    """Warnings at the end of a session of two motions, with pauses in which nobody reads."""
+    """Return the warnings of a session with two motions and pauses in which softfin does not read
+    the sensor."""
     clock = SimulatedClock()
     warnings = []
     with EmulatedRig(fin=BrakingFin(80.0, clock), clock=clock, sensor="lines") as behind:
@@ -41,7 +42,7 @@ def warnings_of(transmit, is_stopped=False):
 
 
 def every(period, instead):
-    """Every so many lines, these are sent instead."""
+    """Replace one line in each `period` lines with the lines in `instead`."""
     numbers = count(1)
     return lambda line: instead if next(numbers) % period == 0 else (line,)
 
@@ -51,7 +52,7 @@ def every(period, instead):
     ("period", "instead", "share"),
     [(2, (), "50%"), (50, (), "2%"), (20, (b"x\r\n",), "5%")],
 )
-def test_many_lost_or_unusable_records_are_a_warning_with_their_share(
+def test_many_lost_or_unusable_records_cause_a_warning_with_their_share(
     period, instead, share, is_stopped
 ):
     (line,) = warnings_of(every(period, instead), is_stopped)
@@ -62,5 +63,5 @@ def test_many_lost_or_unusable_records_are_a_warning_with_their_share(
 @pytest.mark.parametrize(
     "transmit", [lambda line: (line,), lambda line: (line, line), every(200, ())]
 )
-def test_few_lost_records_and_pauses_between_motions_are_no_warning(transmit):
+def test_few_lost_records_and_pauses_between_motions_cause_no_warning(transmit):
     assert warnings_of(transmit) == []

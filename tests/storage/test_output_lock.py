@@ -16,8 +16,8 @@ from softfin.storage.output_lock import lock_output
 from softfin.storage.run_directory import CHECKPOINT
 
 MESSAGE = (
-    rf"out: another softfin process \(process {os.getpid()}\) is writing to it; wait until it "
-    "ends, or choose another --out"
+    rf"out: in use by another softfin run \(process {os.getpid()}\); wait until it ends, or set a "
+    "different --out"
 )
 
 
@@ -65,7 +65,7 @@ def test_a_link_to_the_output_is_the_same_output(held):
         write(link)
 
 
-def test_the_output_is_locked_while_it_is_written_and_leaves_no_lock(tmp_path):
+def test_the_output_is_locked_during_the_run_and_no_lock_file_remains(tmp_path):
     out = tmp_path / "new" / "out"
 
     def write_again():
@@ -86,14 +86,14 @@ def test_a_run_that_fails_leaves_no_lock(tmp_path):
     write(tmp_path / "out")
 
 
-def test_an_output_that_cannot_be_locked_is_written(tmp_path):
-    # A folder in place of the file, which no user can open for writing.
+def test_a_run_works_if_its_output_cannot_be_locked(tmp_path):
+    # No user can open a folder for writing.
     (tmp_path / ".out.lock").mkdir()
     write(tmp_path / "out")
     assert (tmp_path / "out").is_dir()
 
 
-def test_a_file_left_behind_by_a_killed_process_is_no_obstacle(tmp_path):
+def test_a_lock_file_left_by_a_killed_process_does_not_block_a_run(tmp_path):
     (tmp_path / ".out.lock").write_text("1\n")
     write(tmp_path / "out")
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]

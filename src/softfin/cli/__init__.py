@@ -82,12 +82,12 @@ STOPPED = 1
 """Exit code after Ctrl-C, the same as for a failure at run time."""
 
 FIN_STOPPED = 3
-"""Exit code after a fin was stopped for safety."""
+"""Exit code after a safety check or a person stopped the fin."""
 
 
 def script() -> None:
-    """Run `main` as the installed command. After Ctrl-C, exit at once: a compiled program may still
-    be running, and another Ctrl-C would change the exit code."""
+    """Run `main` as the installed command. After Ctrl-C or a stop of the fin, exit immediately: a
+    compiled program may still be running, and another Ctrl-C would change the exit code."""
     use_program_cache()
     try:
         main()

@@ -245,9 +245,9 @@ class Armed(Configuration):
     ) -> None:
         """Print an open machine's notes and ask the operator to confirm the motion.
 
-        `motion` describes the motion if the machine does not follow commands. With
-        `needs_proof`, the rig must be ready, as in `RobotSetup.check_ready`. Raises
-        ConfigurationError if the motion is not confirmed, and RigError if the rig is not ready.
+        `motion` describes the motion if the machine does not follow commands. `needs_proof` also
+        requires `RobotSetup.check_ready` to pass. Raises ConfigurationError if the operator does
+        not confirm the motion, and RigError if the rig is not ready.
         """
         name = robot.machine.name
         for note in robot.machine.notes:

@@ -29,7 +29,7 @@ PROVING = (
     "drive stops by itself"
 )
 COMMISSIONING = "each step announces what moves before it moves"
-ZEROING = "the fin's present angle becomes zero"
+ZEROING = "softfin sets the zero at the fin's current angle"
 ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
 
@@ -223,8 +223,8 @@ class RigEmulateArguments(Common):
         )
         prove = f"softfin rig check{option} --prove --arm"
         zero = f"softfin rig zero{option} --arm"
-        # A proof depends on the zero of a drive that keeps it, but a zero that powers the motor
-        # needs a proof.
+        # If zeroing powers the motor, it needs the proof first. Otherwise, the drive stores the
+        # zero, and the proof depends on it.
         is_proved_first = load_rig(self.rig).drive.ZERO_POWERS_MOTOR
         steps = [prove, zero] if is_proved_first else [zero, prove]
         sys.stdout.write(

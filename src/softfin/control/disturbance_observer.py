@@ -25,9 +25,9 @@ An error that drift cannot explain, such as a sudden one, indicates a change in 
 the estimate of b.
 
 The separation has two limits. Every movement of the reference adds to the variance of b, even if
-the reference returns to an earlier value. If the reference moves for minutes, the observer
-therefore assigns the drift to b and corrects it. Conversely, at a constant reference, a slow change
-in the fin is assigned to d and is hardly corrected.
+the reference returns to an earlier value. If the reference keeps moving for minutes, the observer
+therefore assigns the drift to b and wrongly corrects it. At a constant reference, the observer
+assigns a slow change in the fin to d and corrects very little of it.
 
 The inner reference stays within the controller's cells and the reachable forces, so the observer
 does not wind up at their edge.

@@ -7,11 +7,11 @@ from pathlib import Path
 
 
 def lock_file(path: Path) -> int:
-    """Lock a file, which is created if it is missing, and write the process number into it.
+    """Create a file if it is missing, lock it, and write this process's ID to it.
 
     Returns a descriptor; closing it releases the lock. The holder of the lock may remove the file.
-    Raises BlockingIOError if the file is already locked, and another OSError or ImportError if
-    files cannot be locked here.
+    Raises BlockingIOError if the file is already locked, and a different OSError or an ImportError
+    if the system does not support locks.
     """
     # Imported here because Windows does not have it.
     import fcntl
@@ -27,15 +27,15 @@ def lock_file(path: Path) -> int:
     if os.fstat(descriptor).st_nlink == 0:
         os.close(descriptor)
         return lock_file(path)
-    # The number is only for messages, so a full disk must not prevent the lock. Its width is fixed,
-    # so that it replaces any earlier number.
+    # A full disk must not prevent the lock: only messages and `DeviceLock.take_over` need the ID.
+    # Its fixed width overwrites any earlier ID.
     with contextlib.suppress(OSError):
         os.pwrite(descriptor, f"{os.getpid():20}\n".encode(), 0)
     return descriptor
 
 
 def find_holder(path: Path) -> int | None:
-    """Return the number of the process that locked a file; None if it is unknown."""
+    """Return the ID of the process that locked a file; None if it is unknown."""
     with contextlib.suppress(OSError, ValueError):
         return int(path.read_text(errors="replace"))
     return None

@@ -70,7 +70,7 @@ class DriveConfig(DeviceConfig):
     NEEDS_BUS: ClassVar[bool] = False
     """Whether the rig's file needs a CAN bus for this drive."""
     ZERO_POWERS_MOTOR: ClassVar[bool] = True
-    """Whether `Drive.zero` powers the motor, which needs a proof that the drive stops by itself."""
+    """Whether `Drive.zero` powers the motor and therefore needs a proof of the drive's own stop."""
 
     angle_min_rad: float = PAPER_LIMITS.angle_min
     """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
@@ -193,9 +193,9 @@ class Drive(Protocol):
 
     @property
     def identity(self) -> dict[str, int | str | None]:
-        """Properties of the open drive on which its own stop may depend, by name: its type and
-        what identifies it, and settings such as a homing offset. A proof of the stop holds only
-        while they do not change."""
+        """Properties of the open drive that may affect its own stop, by name: type, identifiers,
+        and settings such as a homing offset. A proof of the stop is valid only while they do not
+        change."""
 
     @property
     def notes(self) -> tuple[str, ...]:

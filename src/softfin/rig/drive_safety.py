@@ -51,7 +51,7 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
     """Return whether a motor stays off, checking every `step_s` [s]: a program that still drives it
     would power it again.
 
-    Such a program may take some of the answers, but the last one must confirm it.
+    Answers may be lost to such a program, but a final answer must confirm that the motor is off.
     """
     for _ in range(round(STOP_CONFIRMED_S / step_s)):
         with suppress(DeviceError):
@@ -62,12 +62,12 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
 
 
 def check_no_pause(silent_s: float, longest_s: float) -> None:
-    """Raise DeviceError if a test of the drive's own stop took longer than the drive may take [s],
-    because the computer paused."""
+    """Raise DeviceError if the stop test lasted longer than the limit for the drive [s], because
+    only a pause of the computer can cause this."""
     if silent_s > longest_s:
         raise DeviceError(
-            f"this computer paused for {silent_s:.1f} s during the test, so it proves nothing; "
-            "close other programs and try again"
+            f"computer: paused for {silent_s:.1f} s during the stop test, so it is not valid; "
+            "close other programs, then run the test again"
         )
 
 

@@ -12,14 +12,15 @@ standard deviation of one count, 20 values are equal by chance once in 3e8 recor
 
 
 class FrozenChannels:
-    """Counts the equal values of each channel by itself, because the others usually still change if
-    one of them fails."""
+    """Counts consecutive equal values per channel, because the other channels usually still change
+    if one fails."""
 
     def __init__(
         self, channels: Sequence[str], longest: float, optional: Collection[str] = ()
     ) -> None:
-        """A channel with `longest` consecutive equal values is frozen. A sensor may lack `optional`
-        channels, so they do not count while they have always been 0."""
+        """A channel is frozen after `longest` consecutive equal values, but at least
+        `FROZEN_RECORDS`. `optional` channels count only after their first value other than 0,
+        because a sensor may not measure them."""
         self._channels = np.array(channels)
         self._longest = max(longest, FROZEN_RECORDS)
         self._is_measured = ~np.isin(self._channels, list(optional))

@@ -24,8 +24,8 @@ LOCK_FOLDER = Path("/run/lock")
 """Folder for device locks on Linux (FHS 3.0), often writable by every user."""
 
 SHARED_FOLDER = Path("/tmp")
-"""Folder for device locks where not every user may write to `LOCK_FOLDER`; not the folder that
-TMPDIR names, which may differ between users."""
+"""Folder for device locks if some users cannot write to `LOCK_FOLDER`; TMPDIR is not used, because
+it may differ between users."""
 
 TAKE_OVER_S = 1.0
 """Time for which `DeviceLock.take_over` waits for the other program to stop its fin and end [s]."""
@@ -104,7 +104,8 @@ class DeviceLock:
 
 
 def _folder() -> Path:
-    """Return the same folder for every user, who would otherwise not see each other's locks."""
+    """Return the folder for locks; it must be the same for all users, or they would not see each
+    other's locks."""
     with contextlib.suppress(OSError):
         if LOCK_FOLDER.stat().st_mode & stat.S_IWOTH:
             return LOCK_FOLDER
@@ -112,10 +113,10 @@ def _folder() -> Path:
 
 
 def _has_open(process: int, path: Path) -> bool:
-    """Return whether a process has a file open; a number in a file could also be that of a program
-    that has ended, or of any other.
+    """Return whether a process has a file open; the process ID in a lock file may be outdated and
+    belong to an unrelated process.
 
-    False where this cannot be determined (there is no /proc, or the process is another user's).
+    False if this is unknown: there is no /proc, or the process belongs to a different user.
     """
     with contextlib.suppress(OSError):
         for descriptor in Path(f"/proc/{process}/fd").iterdir():

@@ -1,5 +1,5 @@
-"""Number of records that are missing from an evenly sampled stream, by the times of the others, and
-the share that a whole session lost."""
+"""Estimates of the records missing from an evenly sampled stream, from the times of the received
+records, and a warning about the share lost in a session."""
 
 import math
 from collections.abc import Mapping
@@ -12,13 +12,13 @@ CREDIT_RECORDS = 32
 once."""
 
 WARNED_SHARE = 0.01
-"""Smallest share of lost and unusable records of which the operator is warned."""
+"""Minimum share of lost and unusable records for a warning."""
 
 
 def explain_losses(counters: Mapping[str, int]) -> str | None:
-    """Return a warning with the share of lost and unusable records; None if there are few."""
+    """Return a warning with the share of lost and unusable records; None below `WARNED_SHARE`."""
     unusable = counters.get("sensor_malformed", 0)
-    # If the records have numbers or time stamps, unusable ones count as lost, too.
+    # If records have numbers or timestamps, the lost ones already include the unusable ones.
     lost = max(counters.get("sensor_lost", 0), unusable)
     sent = counters.get("sensor_records", 0) - unusable + lost
     if lost < max(WARNED_SHARE * sent, 1):

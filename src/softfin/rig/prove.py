@@ -55,17 +55,17 @@ def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
         return proof
     problem = "no proof yet that its drive stops if softfin dies"
     if changes:
-        problem += f", because it was last proved with {changes}"
+        problem = f"the proof that its drive stops is no longer valid ({changes})"
     raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
 
 
 def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
-    """Describe the differences from the drive and settings of a proof, with which the drive may
+    """Describe the changes to the drive and its settings since the proof, because the drive may now
     react differently; empty if there are none."""
     before = proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node}
     now = drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host}
     return ", ".join(
-        f"{name} {before.get(name)} (now {now.get(name)})"
+        f"{name} was {before.get(name)} and is {now.get(name)}"
         for name in sorted(before.keys() | now.keys())
         if before.get(name) != now.get(name)
     )

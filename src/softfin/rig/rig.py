@@ -131,8 +131,8 @@ def zero_angle(
 ) -> JsonObject:
     """Set the fin's current angle to `drive.zero_offset_rad` (default 0); nothing moves.
 
-    `confirm` is called after the drive is opened, before its motor may be powered. The result
-    contains `own_stop` if the drive's own stop must be proved again with the new zero.
+    `confirm` is called after the drive is opened and before its motor may be powered. The result
+    contains `own_stop` if there is no valid proof of the drive's own stop with the new zero.
     """
     rig = Rig(config, clock)
     drive = rig.drive

@@ -72,15 +72,15 @@ class Session:
         observers: Sequence[Observer] = (),
         warn: Warn = lambda line: None,
     ) -> None:
-        """`warn` is called at the end if many of the sensor's records were lost."""
+        """`warn` is called at the end if many sensor records were lost or unusable."""
         self.machine = machine
         self.guard = guard
         self.stop_request = stop or StopRequest()
         self.observers = observers
         self._warn = warn
         self._counted: Counter[str] = Counter()
-        """Counters of the machine while the fin was active; in between, softfin does not read the
-        sensor, so losses do not matter."""
+        """Counters of the machine while the fin was active. Losses at other times do not matter,
+        because softfin may not be reading the sensor."""
         self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"

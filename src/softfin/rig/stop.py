@@ -20,7 +20,7 @@ STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 fin."""
 
 _Handlers: TypeAlias = dict[int, Any]
-"""Handlers of signals, as in the standard library."""
+"""Signal handlers by signal number, as in the module `signal`."""
 
 PATIENCE_S = 2.0
 """Time within which a second signal must not interrupt the stop started by the first [s], because
@@ -83,11 +83,11 @@ def interrupted_by_signals() -> Iterator[None]:
 
 @contextmanager
 def undisturbed_after_stop() -> Iterator[None]:
-    """Ignore stop signals while a `SafetyStop` is being handled, and leave them as they are
-    otherwise.
+    """Ignore stop signals while a `SafetyStop` is being handled; otherwise, use the previous
+    handlers.
 
-    People press Ctrl-C repeatedly, but the fin is already stopped, and its message and exit code
-    must not be lost.
+    People press Ctrl-C repeatedly. The fin is already stopped by then, and the error message and
+    exit code must not be lost.
     """
 
     def handle(number: int, _: FrameType | None) -> None:

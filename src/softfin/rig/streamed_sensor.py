@@ -41,8 +41,8 @@ MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
 
 CONSTANT_S = 0.9
-"""Time for which a channel may keep its value [s]; short enough for a complaint within a second
-after it froze."""
+"""Time for which a channel may keep its value [s]; less than 1 s, so that softfin reports a frozen
+channel within 1 s."""
 
 
 class StreamedSensorConfig(ForceSensorConfig):
@@ -283,8 +283,8 @@ class StreamedSensor:
         lines = list(self._source.complaints())
         if names := self._frozen.names():
             lines.append(
-                f"values are frozen ({', '.join(names)}); check the sensor, and do not round its "
-                "noise away"
+                f"values are frozen ({', '.join(names)}); check the sensor and its wiring, and "
+                "send enough digits to show its noise"
             )
         silent_s = self.clock() - self._arrival
         if silent_s > SILENT_S:

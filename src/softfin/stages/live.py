@@ -87,8 +87,8 @@ def collect_live(
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
     With `resume`, finished logs are kept. `warn` is called for each log whose rest force has
-    changed, and at the end if many of the sensor's records were lost. Raises SafetyStop if the fin
-    had to be stopped; everything recorded until then is kept.
+    changed, and at the end if many sensor records were lost or unusable. Raises SafetyStop if the
+    fin had to be stopped; everything recorded until then is kept.
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = find_bags(out)

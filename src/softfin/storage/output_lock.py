@@ -1,8 +1,8 @@
 """A lock that lets only one process at a time write to an output folder.
 
-Two runs with one output would delete each other's unfinished work. The lock is on the file
-``.NAME.lock`` next to the output, because the output and the unfinished work are replaced during a
-run. It is removed when the run ends; a file that a killed process left behind is not locked.
+Two runs with the same output would delete each other's unfinished work. They lock the file
+``.NAME.lock`` next to the output, because the output itself is replaced during a run. The file is
+removed when the run ends. If a process is killed, its file remains, but it is no longer locked.
 """
 
 import contextlib
@@ -21,17 +21,16 @@ Result = TypeVar("Result")
 
 
 def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Decorate a function that writes to its argument `out`: it holds the lock of this folder while
-    it runs.
+    """Decorate a function so that it locks the folder in its argument `out` while it runs.
 
-    The function raises ArtifactError if another process holds the lock. On a file system without
-    locks, it runs without one.
+    The function raises ArtifactError if another run holds the lock. On a file system without locks,
+    it runs without one.
     """
     parameters = signature(stage)
 
     @wraps(stage)
     def run(*args: Arguments.args, **options: Arguments.kwargs) -> Result:
-        # Resolved, because links can give one folder several names.
+        # Resolve links, because they can give one folder several names.
         out = parameters.bind(*args, **options).arguments["out"].resolve()
         path = out.with_name(f".{out.name}.lock")
         descriptor = _lock(out, path)
@@ -39,7 +38,7 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
             return stage(*args, **options)
         finally:
             if descriptor is not None:
-                # Removed while it is locked, so no other process can hold it.
+                # Remove the file while it is still locked, so that no other process can hold it.
                 with contextlib.suppress(OSError):
                     path.unlink()
                 os.close(descriptor)
@@ -53,8 +52,8 @@ def _lock(out: Path, path: Path) -> int | None:
         return lock_file(path)
     except BlockingIOError:
         raise ArtifactError(
-            f"{out}: another softfin process{describe_holder(path)} is writing to it; wait until "
-            "it ends, or choose another --out"
+            f"{out}: in use by another softfin run{describe_holder(path)}; wait until it ends, or "
+            "set a different --out"
         ) from None
     except (OSError, ImportError):
         # The run works without a lock. If the folder cannot be written, the run reports that.

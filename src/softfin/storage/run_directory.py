@@ -36,7 +36,7 @@ description of the run that wrote them."""
 RUN = "run.json"
 LOG = "log.jsonl"
 FIX = "free disk space, then use --resume"
-"""End of the message if a file of an unfinished run cannot be written."""
+"""Fix in the error message if a file of an unfinished run cannot be written."""
 
 
 class RunDirectory:
@@ -172,9 +172,9 @@ class RunDirectory:
 class RunLog:
     """Scalars of a run: one line of JSON per step, and an event file for TensorBoard.
 
-    Both files are written by the calling thread, so a full disk stops the run with an error. The
-    writer of tensorboardX is a thread: if a write fails, it ends without a message, its queue
-    fills, and the run then waits forever.
+    The calling thread writes both files, so a full disk stops the run with an error. tensorboardX
+    would write from its own thread. If a write fails, this thread ends without a message, its queue
+    fills, and the run waits forever.
     """
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
@@ -187,7 +187,7 @@ class RunLog:
         name = f"events.out.tfevents.{time.time():.0f}.{socket.gethostname()}.softfin"
         self.event_path = folder / name
         self._append_event(file_version="brain.Event:2")
-        # TensorBoard then hides the steps of earlier event files from this step on.
+        # This makes TensorBoard discard this step and later steps from earlier event files.
         self._append_event(step=last + 1, session_log={"status": "START"})
 
     def write(self, step: int, **scalars: float) -> None:

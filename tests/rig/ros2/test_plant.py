@@ -318,7 +318,7 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
 
 
 @pytest.mark.parametrize("topic", ["/joint", "/wrench"])
-def test_a_second_publisher_of_readings_is_refused_and_is_a_complaint_at_once(topic):
+def test_a_second_publisher_of_readings_is_refused_and_reported_immediately(topic):
     rig = Rig()
     rig.transport.publishing[topic] = ["driver", "another"]
     words = f"{topic}: has 2 publishers (another, driver); stop all but one"
@@ -336,8 +336,8 @@ def test_a_second_publisher_of_readings_is_refused_and_is_a_complaint_at_once(to
     )
 
 
-def test_a_second_commander_is_refused_and_is_a_complaint_at_once(rig):
-    words = "/command: teleop may also command this fin; stop all but one program"
+def test_a_second_publisher_of_commands_is_refused_and_reported_immediately(rig):
+    words = "/command: teleop may also command this fin; end that program first"
     rig.transport.commanders = ["teleop"]
     with pytest.raises(DeviceError, match=words):
         rig.machine.enable()
@@ -354,7 +354,7 @@ def test_a_second_commander_is_refused_and_is_a_complaint_at_once(rig):
     assert rig.machine.read().complaints == ()
 
 
-def test_one_program_commands_a_fin_and_one_program_may_command_several():
+def test_only_one_program_commands_a_fin_but_it_may_command_several_fins():
     topic = f"/command_{os.getpid()}"
 
     def made(**changes):
@@ -380,7 +380,7 @@ def test_one_program_commands_a_fin_and_one_program_may_command_several():
         machine.close()
 
 
-def test_a_fin_that_cannot_be_locked_is_noted(monkeypatch, rig):
+def test_a_command_topic_that_cannot_be_locked_is_a_note(monkeypatch, rig):
     monkeypatch.setattr(rig.machine.device_lock, "note", "cannot be locked")
     assert rig.machine.notes == ("in memory", "cannot be locked")
 

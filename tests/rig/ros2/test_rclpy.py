@@ -209,7 +209,7 @@ def test_a_subscriber_keeps_as_many_messages_as_asked_for_and_names_its_publishe
     assert transport.subscribe("/silent", WRENCH).publishers() == []
 
 
-def test_the_publishers_of_other_nodes_may_have_the_name_of_ours(rclpy, transport):
+def test_other_nodes_may_have_the_same_name_as_ours(rclpy, transport):
     transport.publish("/command", JOINT)
     assert transport.publishers("/command") == ["/teleop"]
     rclpy.commanders += [("/", "tail")]

@@ -1,5 +1,5 @@
-"""Two programs on one fin behind topics, in simulated time: the fin is stopped, or the second is
-refused."""
+"""Two programs that command the same ROS 2 fin, in simulated time: softfin stops the fin or refuses
+the second program."""
 
 import pytest
 
@@ -68,7 +68,7 @@ def activated(driver):
     return Session(machine, Guard(SafetyConfig(), machine.limits))
 
 
-def test_a_second_host_is_refused_and_the_first_goes_on(driver):
+def test_a_second_host_is_refused_and_the_first_continues(driver):
     with activated(driver) as session:
         session.activate()
         session.hold(Target(1.0, 1.0), 20)
@@ -78,7 +78,7 @@ def test_a_second_host_is_refused_and_the_first_goes_on(driver):
         assert driver.fin.now().angle == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_second_commander_stops_the_fin_with_the_true_reason(driver):
+def test_a_second_publisher_of_commands_stops_the_fin_and_is_reported(driver):
     with activated(driver) as session:
         session.activate()
         session.hold(Target(1.0, 1.0), 20)

@@ -94,7 +94,7 @@ class Transport(Protocol):
         """Return the topics published by other nodes, with their types."""
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the names of the publishers of a topic in other nodes, sorted."""
+        """Return the sorted names of the other nodes' publishers on a topic."""
 
     def close(self) -> None:
         """Close the connection; may be called repeatedly and never raises."""
@@ -176,8 +176,8 @@ class Subscription(Generic[Value]):
         return self._subscriber.mismatched()
 
     def explain_publishers(self) -> str | None:
-        """Explain why its publishers cannot be used, ending with the fix; None if there is exactly
-        one."""
+        """Explain why the topic's publishers cannot be used, ending with the fix; None if there is
+        exactly one."""
         publishers = sorted(self._subscriber.publishers())
         if not publishers:
             return f"{self.topic}: no longer has a publisher; restart its driver"

@@ -153,7 +153,7 @@ class DdsTransport:
         self._own: set[str] = set()
         self._publications: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._others: dict[UUID, Any] = {}
-        """Publishers of other nodes, by their keys."""
+        """Publishers of other nodes, by key."""
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """Create a writer."""
@@ -220,7 +220,7 @@ class DdsTransport:
         return dict(sorted(topics))
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the processes of the publishers of a topic in other nodes, sorted."""
+        """Return the sorted processes of the other nodes' publishers on a topic."""
         return sorted(
             _name_participant(self._participant, publication.participant_key)
             for publication in self._discover()
@@ -228,7 +228,7 @@ class DdsTransport:
         )
 
     def _discover(self) -> list[Any]:
-        """Return the present publishers of other nodes."""
+        """Return the current publishers of other nodes."""
         if self._participant is None:
             return []
         for publication in self._publications.take(1000):

@@ -254,8 +254,8 @@ class Ros2Machine:
     def open(self) -> None:
         """Wait for the first joint and wrench messages; nothing is sent.
 
-        Raises RigError or DeviceError if another program commands the fin, or if a topic has
-        several publishers.
+        Raises RigError or DeviceError if a different program may command the fin, or if a topic of
+        readings does not have exactly one publisher.
         """
         self.close()
         self._stop_failure = None
@@ -295,7 +295,8 @@ class Ros2Machine:
                 lambda message: rotated(read_wrench(message), turn),
             )
             self._await_first(joint, wrench)
-            # Before our own publisher exists, because it would stop the program that uses the fin.
+            # Check before we create our own publisher, which would make the other program stop the
+            # fin.
             if problems := self._explain_publishers(transport, joint, wrench):
                 raise DeviceError(problems[0])
             kind = flipper.type if flipper else JOINT_STATE
@@ -453,12 +454,13 @@ class Ros2Machine:
     def _explain_publishers(
         self, transport: Transport, joint: JointSubscription, wrench: Subscription[Wrench]
     ) -> list[str]:
-        """Return one line for each topic without exactly one publisher, ending with the fix."""
+        """Return one line per publisher fault, ending with its fix: a topic of readings without
+        exactly one publisher, or a different publisher of commands."""
         lines = [joint.explain_publishers(), wrench.explain_publishers()]
         topic = self.config.command_topic
         if others := transport.publishers(topic):
             lines.append(
-                f"{topic}: {', '.join(others)} may also command this fin; stop all but one program"
+                f"{topic}: {', '.join(others)} may also command this fin; end that program first"
             )
         return [line for line in lines if line is not None]
 

@@ -110,8 +110,8 @@ class RclpyTransport:
         }
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the names of the publishers of a topic in other nodes, sorted."""
-        # Another node may have the same name as ours.
+        """Return the sorted names of the other nodes' publishers on a topic."""
+        # Subtract only our own publishers: a different node may have the same name as ours.
         own = Counter({self._name: self._own.count(topic)})
         return sorted((Counter(self._publisher_names(topic)) - own).elements())
 

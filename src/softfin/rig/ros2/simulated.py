@@ -68,7 +68,7 @@ class SimulatedTransport:
         return dict(sorted(channel for transport in others for channel in transport._published))
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the names of the publishers of a topic in other nodes, sorted."""
+        """Return the sorted names of the other nodes' publishers on a topic."""
         return sorted(
             transport._name
             for transport in self._all

@@ -31,7 +31,7 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     values = yaml.safe_load(rig.read_text())
     assert values["drive"]["type"] == "dynamixel"
     assert "bus" not in values
-    # The zero needs no motor, and so no proof; the proof depends on the zero.
+    # Zeroing does not power the motor, so it needs no proof, but the proof depends on the zero.
     main(["rig", "zero", *options, "--arm", "--yes"])
     assert "own_stop: rig of emulated: no proof yet" in capsys.readouterr().out
     main(["rig", "check", *options, "--prove", "--arm", "--yes"])
@@ -75,8 +75,8 @@ def test_a_new_zero_voids_the_proof_of_the_servos_own_stop(rig, capsys):
     servo.set(protocol.HOMING_OFFSET, 200)
     line, code = fails(capsys, *move)
     assert (
-        f"because it was last proved with homing_offset {-MOUNTED_TICKS} (now 200); run: softfin "
-        "rig check" in line
+        f"no longer valid (homing_offset was {-MOUNTED_TICKS} and is 200); run: softfin rig check"
+        in line
     )
     assert code == 2
     assert not servo.get(protocol.TORQUE_ENABLE)

@@ -334,7 +334,7 @@ def test_a_servo_that_moves_when_it_should_stop_gets_no_proof(offset):
         made.servo.set(protocol.HOMING_OFFSET, offset)
         made.drive.open()
         assert made.drive.identity["homing_offset"] == offset
-        with pytest.raises(DeviceError, match=r"servo turned the fin by [+-]\d\.\d\d rad when"):
+        with pytest.raises(DeviceError, match=r"servo: turned the fin by [+-]\d\.\d\d rad during"):
             made.drive.prove_stop()
         assert made.servo.get(TORQUE) == 0
 
@@ -351,23 +351,23 @@ def test_a_servo_that_moves_shortly_after_its_stop_gets_no_proof():
                 made.fin.move(0.2, 0.5)
 
         made.servo._watch = move_later
-        with pytest.raises(DeviceError, match="servo turned the fin by"):
+        with pytest.raises(DeviceError, match="servo: turned the fin by"):
             made.drive.prove_stop()
 
 
-def test_a_pause_of_the_computer_during_the_proof_proves_nothing(monkeypatch):
+def test_a_proof_is_rejected_if_the_computer_pauses_during_it(monkeypatch):
     with bench(zero_needed=False) as made:
         made.drive.open()
         sleep = made.clock.sleep
         monkeypatch.setattr(
             made.clock, "sleep", lambda seconds: sleep(seconds if seconds < 0.05 else 2.0)
         )
-        with pytest.raises(DeviceError, match=r"paused for 2\.0 s during the test"):
+        with pytest.raises(DeviceError, match=r"paused for 2\.0 s during the stop test"):
             made.drive.prove_stop()
         assert made.servo.get(TORQUE) == 0
 
 
-def test_a_pause_of_the_program_is_told_as_a_pause():
+def test_a_pause_of_the_program_is_reported_as_a_pause():
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
         made.clock.sleep(0.12)
@@ -390,7 +390,7 @@ def test_a_watchdog_that_another_program_switches_off_is_a_fault():
 
 
 @pytest.mark.parametrize("delay_s", [0.008, 0.016, 0.03])
-def test_a_stop_while_answers_are_late_neither_turns_back_nor_alarms(delay_s):
+def test_a_stop_with_late_answers_neither_reverses_the_fin_nor_is_unconfirmed(delay_s):
     with enabled() as made:
         made.drive.command(Target(1.5, math.pi))
         made.loop(0.2)
@@ -597,16 +597,20 @@ def test_two_servos_with_one_id_are_noticed():
     ("entry", "value", "words"),
     [
         (protocol.OPERATING_MODE, 4, "Operating Mode .* is 4: .* set it to 3"),
-        (protocol.STARTUP_CONFIGURATION, 1, "would power its motor by itself; set it to 0"),
-        (protocol.STARTUP_CONFIGURATION, 2, "would power its motor by itself; set it to 0"),
+        (protocol.STARTUP_CONFIGURATION, 1, "power its motor or restore old settings; set it to 0"),
+        (protocol.STARTUP_CONFIGURATION, 2, "power its motor or restore old settings; set it to 0"),
         (protocol.OPERATING_MODE, 1, "Operating Mode .* is 1: .* set it to 3"),
         (protocol.DRIVE_MODE, 8, "Drive Mode .* is 8: set it to 0"),
         (protocol.DRIVE_MODE, 1, "Drive Mode .* is 1: .*drive.direction"),
         (protocol.SHUTDOWN_ERRORS, 0, "Shutdown .* is 0: .*set it to 52"),
-        (protocol.MAX_POSITION_LIMIT, 4095, "Max Position Limit .* is 4095: .* set it to 3170"),
+        (
+            protocol.MAX_POSITION_LIMIT,
+            4095,
+            "Max Position Limit .* is 4095: .* set the servo to 3170",
+        ),
         (protocol.MAX_POSITION_LIMIT, 2500, "Max Position Limit .* is 2500"),
-        (protocol.MIN_POSITION_LIMIT, 0, "Min Position Limit .* is 0: .* set it to 926"),
-        (protocol.VELOCITY_LIMIT, 350, "Velocity Limit .* is 350: .* set it to 131"),
+        (protocol.MIN_POSITION_LIMIT, 0, "Min Position Limit .* is 0: .* set the servo to 926"),
+        (protocol.VELOCITY_LIMIT, 350, "Velocity Limit .* is 350: .* set the servo to 131"),
     ],
 )
 def test_a_servo_that_is_set_up_differently_is_refused(entry, value, words):
@@ -684,7 +688,7 @@ def test_a_servo_that_answers_little_is_braked_and_switched_off(level):
         assert made.fin.now().angle - angle < 0.5
 
 
-def test_a_fin_is_stopped_although_half_of_the_answers_go_to_another_program(monkeypatch):
+def test_switch_off_works_if_another_program_receives_half_of_the_answers(monkeypatch):
     with enabled(heartbeat_s=1.0) as made:
         made.drive.command(Target(1.5, math.pi))
         made.loop(0.1)

@@ -51,7 +51,7 @@ signal.signal(signal.SIGTERM, stop)
 """,
     "ignores it": "signal.signal(signal.SIGTERM, signal.SIG_IGN)",
 }
-"""What a program that moves the fin does when it is asked to end."""
+"""Code that handles SIGTERM in the program that moves the fin."""
 
 SWIMMING = """
 import signal, sys, time
@@ -60,7 +60,7 @@ from softfin.rig.devices.dynamixel import link
 from softfin.rig.devices.dynamixel.drive import Dynamixel
 from softfin.rig.machine import Target
 from tests.rig.devices.dynamixel.bench import servo_config
-# For a busy computer.
+# A busy computer answers late.
 driver.ANSWER_S = driver.SLOWEST_ANSWER_S = 0.2
 link.WRITE_TIMEOUT_S = link.SETUP_ANSWER_S = 5.0
 drive = Dynamixel(servo_config(port=sys.argv[1], heartbeat_s=1.0, zero_needed=False))
@@ -76,7 +76,7 @@ for tick in range(10_000):
         break
 drive.stop()
 """
-"""A host that turns the fin to and fro, for two minutes at most."""
+"""A host that turns the fin back and forth for at most two minutes."""
 
 TRIALS = 50 if os.environ.get("SOFTFIN_LONG") == "1" else 2
 
@@ -147,14 +147,14 @@ def swimming(port, reaction):
 
 @pytest.mark.parametrize("reaction", REACTIONS)
 @pytest.mark.parametrize("_trial", range(TRIALS))
-def test_a_fin_that_another_program_moves_is_stopped_for_good(reaction, _trial):
+def test_a_fin_driven_by_another_program_is_stopped_and_stays_off(reaction, _trial):
     with real_servo(heartbeat_s=1.0, zero_needed=False) as servo:
         port = servo.address()["port"]
         with swimming(port, reaction) as host:
             wait_until(lambda: servo._fin.now().velocity or host.poll() is not None)
             assert host.poll() is None
             Dynamixel(servo_config(heartbeat_s=1.0, port=port)).switch_off()
-            # The motor has been told to be off: it stays so, although the program may still run.
+            # The motor must stay off, although the other program may still be running.
             end = time.monotonic() + 0.3
             while time.monotonic() < end:
                 assert servo.get(protocol.TORQUE_ENABLE) == 0

@@ -53,7 +53,7 @@ def test_a_drive_that_ignores_the_loss_is_told_and_stopped() -> None:
         assert made.emulated.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_pause_of_the_computer_during_the_proof_proves_nothing(
+def test_a_proof_is_rejected_if_the_computer_pauses_during_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with bench() as made:
@@ -71,7 +71,7 @@ def test_a_pause_of_the_computer_during_the_proof_proves_nothing(
             return time_own_stop(drive)
 
         monkeypatch.setattr(procedures, "time_own_stop", time_with_pause)
-        with pytest.raises(DeviceError, match=r"paused for 2\.\d s during the test"):
+        with pytest.raises(DeviceError, match=r"paused for 2\.\d s during the stop test"):
             made.drive.prove_stop()
         assert made.emulated.state not in POWERED
 
@@ -231,7 +231,7 @@ def test_a_drive_that_is_powered_again_at_once_is_not_off() -> None:
         thread.join()
 
 
-def test_the_program_that_keeps_an_adapter_to_itself_is_asked_to_end(
+def test_a_program_with_exclusive_use_of_the_adapter_is_asked_to_exit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with enabled(traits=IGNORES) as made:

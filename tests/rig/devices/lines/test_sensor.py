@@ -146,7 +146,7 @@ def test_values_that_stand_still_are_a_fault():
 
 
 def with_column(index, text):
-    """Lines with another text in a column."""
+    """Replace the text in one column of each line."""
 
     def change(line):
         columns = line.strip().split(b",")
@@ -159,7 +159,7 @@ def with_column(index, text):
 @pytest.mark.parametrize("rate_hz", [80.0, 320.0])
 @pytest.mark.parametrize(("index", "channel"), [(1, "force_x"), (2, "force_y")])
 @pytest.mark.parametrize("text", [b"1.234567", b"16.777214", b"0.000000", b"-0"])
-def test_one_column_that_stands_still_is_a_fault_within_a_second(rate_hz, index, channel, text):
+def test_one_frozen_column_is_a_fault_within_a_second(rate_hz, index, channel, text):
     with bench(rate_hz) as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.5)
@@ -185,7 +185,7 @@ def test_a_slow_sensor_needs_twenty_equal_lines():
 
 
 @pytest.mark.parametrize(("text", "is_measured"), [(b"0.5", True), (b"0.0", False)])
-def test_a_column_that_was_dead_from_the_start_is_a_fault_unless_it_may_not_be_measured(
+def test_a_column_that_is_dead_from_the_start_is_a_fault_unless_it_is_optional_and_0(
     text, is_measured
 ):
     columns = ("count", "force_x", "force_y", "torque_z")
@@ -200,7 +200,7 @@ def test_a_column_that_was_dead_from_the_start_is_a_fault_unless_it_may_not_be_m
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 80.0])
-def test_noise_of_one_count_is_no_fault(rate_hz):
+def test_noise_of_one_count_is_not_a_fault(rate_hz):
     noise = np.random.default_rng(0)
     with bench(rate_hz) as (emulated, sensor, clock):
 

@@ -287,7 +287,7 @@ def test_values_that_stand_still_are_a_fault():
 
 
 def with_channel(index, value):
-    """Messages with another value of a channel."""
+    """Replace the value of one channel in each message."""
 
     def change(message):
         wrench = list(message.wrench)
@@ -301,7 +301,7 @@ def with_channel(index, value):
     ("index", "channel"), [(0, "force_x"), (1, "force_y"), (2, "force_z"), (5, "torque_z")]
 )
 @pytest.mark.parametrize("value", [1.25, 1000.0, 0.0])
-def test_one_channel_that_stands_still_is_a_fault_within_a_second(index, channel, value):
+def test_one_frozen_channel_is_a_fault_within_a_second(index, channel, value):
     with bench() as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.5)
@@ -315,7 +315,7 @@ def test_one_channel_that_stands_still_is_a_fault_within_a_second(index, channel
 @pytest.mark.parametrize(
     ("dead", "words"), [(range(2, 6), None), (range(1, 6), "frozen (force_y);")]
 )
-def test_channels_that_a_driver_never_measured_are_no_fault_but_for_the_forces(dead, words):
+def test_channels_that_are_always_0_are_not_a_fault_except_force_x_and_y(dead, words):
     with bench() as (emulated, sensor, clock):
 
         def transmit(message):

@@ -55,18 +55,18 @@ STOP_TIMEOUT_S = 3.0
 """Longest wait for another stop in progress [s]."""
 DISABLE_TIMEOUT_S = 0.3
 DISABLE_ATTEMPTS = 8
-"""Number of attempts of a stop to switch the torque off, each of up to two late answers."""
+"""Maximum number of attempts to switch the torque off; each waits for up to two late answers."""
 LATE_ANSWER_S = 0.04
-"""Longest wait for the answer that confirms a stop [s], at a port that answers late."""
+"""Maximum wait for the answer that confirms a stop, if answers are late [s]."""
 BLIND_WRITES = 20
-"""Number of times that torque off is sent without waiting for an answer, to a port that another
-program uses as well; packets may collide."""
+"""Number of torque-off writes that `switch_off` sends without waiting for answers; packets may
+collide if a second program uses the port."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
 WATCHED_S = 0.3
-"""Time for which the shaft is watched after the servo has stopped by itself [s]."""
+"""Time for which softfin monitors the shaft after the servo has stopped by itself [s]."""
 MOVED_RAD = 0.05
-"""Largest motion of the shaft while the servo stops by itself at rest [rad]: the fin may sway."""
+"""Maximum rotation of the shaft during the stop test [rad]; the fin may sway."""
 RESET_TIMEOUT_S = 1.0
 REFUSED = 3
 """Number of attempts of a stop after one that was not confirmed, so that it is brief."""
@@ -288,8 +288,8 @@ class Dynamixel:
         """Stop the motor unconditionally, no matter which program powered it; raises DeviceError if
         it is not confirmed to be off.
 
-        Two programs on one port take each other's answers. So a softfin program that uses it is
-        stopped first; if it hangs, the torque is switched off without waiting for answers.
+        Two programs on one port receive each other's answers, so a softfin process that uses the
+        port is first asked to exit. If it does not, the torque is switched off without braking.
         """
         self._reset()
         is_alone = self.device_lock.take_over(self.clock)
@@ -384,7 +384,7 @@ class Dynamixel:
                 f"{self.config.watchdog}, so the servo might not stop if softfin died; end other "
                 "programs that use it"
             )
-        # Until the latest request: a program that has paused has not asked.
+        # Measure up to the latest request: softfin sends none while it is paused.
         silent_s = self._asked - self._time
         if silent_s > self.config.heartbeat_s:
             lines.append(
@@ -411,8 +411,8 @@ class Dynamixel:
 
     @property
     def identity(self) -> dict[str, int | str | None]:
-        """Type, model, ID, firmware and homing offset; the last two, because some firmware moves
-        the servo when its bus watchdog trips, depending on the offset."""
+        """Type, model, ID, firmware and homing offset. With a homing offset, some firmware moves
+        the servo when its bus watchdog trips."""
         return {
             "type": self.config.type,
             "model": self.config.model,
@@ -517,8 +517,8 @@ class Dynamixel:
         moved_rad = self.units.angle(self._known_status().position) - self.units.angle(before)
         if abs(moved_rad) > MOVED_RAD:
             raise DeviceError(
-                f"servo turned the fin by {moved_rad:+.2f} rad when its bus watchdog stopped it "
-                "(a known fault of some firmware with a homing offset); update its firmware with "
+                f"servo: turned the fin by {moved_rad:+.2f} rad during the stop test, possibly due "
+                "to a firmware fault (bus watchdog with a homing offset); update its firmware with "
                 "DYNAMIXEL Wizard, and do not move the fin until this test passes"
             )
 
@@ -545,8 +545,8 @@ class Dynamixel:
             # The next status shows whether the servo has it.
             pass
         except RefusedError as error:
-            # Targets are within the servo's limits, so it refuses them as out of range only after
-            # its bus watchdog has tripped.
+            # softfin's targets are within the servo's limits, so DATA_RANGE means that the bus
+            # watchdog has tripped.
             is_tripped = error.code == Refusal.DATA_RANGE
             self._trouble = WATCHDOG_LINE if is_tripped else str(error)
         except DeviceError as error:
@@ -647,8 +647,8 @@ class Dynamixel:
                 # Opened again after a stop that was not confirmed: the watchdog has stopped it.
                 break
             if is_new:
-                # Not again from an old status, which would move the goal on while only the answers
-                # are missing.
+                # Do not reuse an old status: if only the answers are missing, the braking goal
+                # would move ahead.
                 braking = self._braking(self._present_position(status), status.velocity)
             if not is_braking:
                 is_braking = self._brake(braking)
@@ -677,7 +677,7 @@ class Dynamixel:
         self._trouble = UNCONFIRMED
 
     def _braking(self, position: int, velocity: int) -> bytes:
-        """Return the motion to the position at which the servo comes to rest."""
+        """Return the motion command that ends at the servo's stopping position."""
         config = self.config
         velocity_rad_s = self.units.velocity(velocity)
         # Braking distance: v^2 / (2 a).
@@ -693,7 +693,7 @@ class Dynamixel:
         )
 
     def _brake(self, motion: bytes) -> bool:
-        """Send a motion that brakes; return whether the servo has it."""
+        """Send a braking motion; return whether the servo has accepted it."""
         address = protocol.PROFILE_ACCELERATION.address
         try:
             self.link.write_bytes(address, motion, ANSWER_S, "a stop")
@@ -708,15 +708,14 @@ class Dynamixel:
         return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
 
     def _present_position(self, status: Status) -> int:
-        """Return the servo's position now, at its velocity since a status that may be old; it does
-        not go past its goal."""
+        """Extrapolate the servo's position from a status that may be old, at most to its goal."""
         age_s = max(self.clock() - self._time, 0.0)
         angle = self.units.angle(status.position) + self.units.velocity(status.velocity) * age_s
         ends = sorted((status.position, status.goal))
         return min(max(self.units.position(angle), ends[0]), ends[1])
 
     def _brake_foreign_motion(self) -> None:
-        """Bring a servo to rest that another program has powered."""
+        """Brake a servo that another program has powered, until it is at rest."""
         with suppress(DeviceError):
             setup.answer_everything(self.link)
         # A goal is sent only if the motor is on: depending on the servo's drive mode, it would

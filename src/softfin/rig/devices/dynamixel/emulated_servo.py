@@ -61,8 +61,9 @@ class EmulatedServo:
         """Delay of each answer [s]."""
         self.is_watchdog_broken = False
         self.ignores_offset = False
-        """Whether the servo has the firmware fault of DynamixelSDK issue 584: when its bus watchdog
-        trips, its goal becomes its position without the homing offset."""
+        """Whether to emulate the firmware fault of DynamixelSDK issue 584. The issue reports only a
+        wrong goal when the bus watchdog trips; here, it is the position without the homing offset
+        (an assumption)."""
         self.received: list[Packet] = []
         """Instructions for this servo, newest last."""
         self.table = bytearray(TABLE_BYTES)
@@ -192,7 +193,8 @@ class EmulatedServo:
             return
         if now - self._instruction_time > units * protocol.WATCHDOG_UNIT_S:
             self.set(protocol.BUS_WATCHDOG, protocol.WATCHDOG_TRIPPED)
-            # The servo stops without a profile (e-Manual, Bus Watchdog), so not along a quick stop.
+            # The servo stops without a profile (e-Manual, Bus Watchdog), so the quick-stop ramp
+            # does not apply.
             self.set(protocol.PROFILE_ACCELERATION, 0)
             self.set(protocol.PROFILE_SPEED, 0)
             position = self._position(self._fin.now().angle)

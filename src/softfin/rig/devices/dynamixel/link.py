@@ -205,7 +205,7 @@ class ServoLink:
 
     @contextlib.contextmanager
     def _using_port(self) -> Iterator[Port]:
-        """Hold the port for one instruction; raises DeviceError if it cannot be used."""
+        """Lock the port for one instruction; raises DeviceError if the port cannot be used."""
         if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
             raise DeviceError(f"{self.name}: another request is still unanswered; try again")
         try:

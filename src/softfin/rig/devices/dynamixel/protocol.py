@@ -180,8 +180,8 @@ torque is off."""
 
 POSITION_MODE = 3
 FIRST_FIRMWARE = 38
-"""First firmware with a bus watchdog. DynamixelSDK issue 584 reports a fault of later versions,
-without their numbers: with a homing offset, the servo moves when its bus watchdog trips."""
+"""First firmware version with a bus watchdog. DynamixelSDK issue 584 reports a fault in unspecified
+versions: with a homing offset, the servo moves when its bus watchdog trips."""
 ALL_STATUS_PACKETS = 2
 """Status Return Level: every instruction is answered."""
 MAX_HOMING_OFFSET = 1024

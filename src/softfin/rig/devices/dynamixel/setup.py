@@ -15,8 +15,8 @@ from softfin.rig.devices.dynamixel.protocol import Entry, error_line
 from softfin.rig.safety import OVERSHOOT_RAD
 
 WATCHDOG_STOPPED = (
-    "servo's bus watchdog has stopped it, because instructions were missing: the program that "
-    "moved it paused or ended, or its cable was cut; find out why"
+    "servo's bus watchdog has stopped it, because instructions were missing; check its cable, and "
+    "check whether the program that moved it paused or ended"
 )
 RESET = "then run: softfin rig check --reset-fault"
 
@@ -82,10 +82,10 @@ def settings(config: DynamixelConfig) -> tuple[Setting, ...]:
         ),
         Setting(
             protocol.STARTUP_CONFIGURATION,
-            # Bit 0 powers the motor at each start of the servo, with no program there, and bit 1
-            # restores the indirect addresses, which would hide a restart.
+            # Bit 0 powers the motor at power-on, before any program is connected. Bit 1 restores
+            # the indirect addresses, so softfin would not notice a restart.
             lambda value: value == 0,
-            "the servo would power its motor by itself; set it to 0",
+            "at power-on, the servo could power its motor or restore old settings; set it to 0",
         ),
         Setting(
             protocol.SHUTDOWN_ERRORS,
@@ -96,17 +96,20 @@ def settings(config: DynamixelConfig) -> tuple[Setting, ...]:
         Setting(
             protocol.MIN_POSITION_LIMIT,
             lambda value: outer_lowest <= value <= lowest,
-            f"the rig's file needs {outer_lowest} to {lowest}; set it to {outer_lowest}",
+            f"the rig file needs {outer_lowest} to {lowest}; correct the file, or set the servo to "
+            f"{outer_lowest}",
         ),
         Setting(
             protocol.MAX_POSITION_LIMIT,
             lambda value: highest <= value <= outer_highest,
-            f"the rig's file needs {highest} to {outer_highest}; set it to {outer_highest}",
+            f"the rig file needs {highest} to {outer_highest}; correct the file, or set the servo "
+            f"to {outer_highest}",
         ),
         Setting(
             protocol.VELOCITY_LIMIT,
             lambda value: value == fastest,
-            f"fastest_rad_s is {fastest} in the servo's unit; set it to {fastest}",
+            f"fastest_rad_s is {fastest} in the servo's unit; correct the rig file, or set the "
+            f"servo to {fastest}",
         ),
     )
 
@@ -123,10 +126,7 @@ def check_settings(link: ServoLink, config: DynamixelConfig) -> None:
     for setting in settings(config):
         value = link.read(setting.entry)
         if not setting.fits(value):
-            raise RigError(
-                f"servo's {setting.entry} is {value}: {setting.fix} in DYNAMIXEL Wizard, or "
-                "correct the rig's file"
-            )
+            raise RigError(f"servo's {setting.entry} is {value}: {setting.fix} in DYNAMIXEL Wizard")
 
 
 def read_fault(link: ServoLink) -> str | None:
