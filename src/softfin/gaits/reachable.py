@@ -323,13 +323,6 @@ class Reachable(NamedTuple):
         return Cell(low=low, high=high)
 
 
-PAPER_SIZED = Reachable(
-    np.array([PAPER_REACH_N, 0], np.float32), np.full(32, PAPER_REACH_N, np.float32)
-)
-"""A reach equal to that of the paper's fin, used to check a configuration before the fin's own
-reach is known."""
-
-
 @cache
 def directions(count: int) -> Float[np.ndarray, "directions 2"]:
     """Return equally spaced unit vectors, counterclockwise from +x."""
