@@ -142,7 +142,8 @@ def _better(best: Candidates | None, new: Candidates) -> Candidates:
 
 
 def _mean_error(candidates: Candidates) -> np.ndarray:
-    return np.asarray(candidates[1].error).mean(axis=(1, 2))
+    error = np.asarray(candidates[1].error)
+    return np.asarray(error.mean(axis=(1, 2)))
 
 
 def _scores(evaluation: PolicyEvaluation) -> Metrics:
