@@ -62,7 +62,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "calibrate": tuple(CALIBRATIONS.values()),
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
-    "train": (*TRAIN_PRESETS.values(), MapConfig()),
+    "train": tuple(TRAIN_PRESETS.values()),
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot view": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
@@ -313,7 +313,7 @@ def stop_at_work(monkeypatch):
         raise Parsed
 
     monkeypatch.setattr("softfin.stages.collect.collect", work)
-    monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
+    monkeypatch.setattr("softfin.stages.controllers.map_forces", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

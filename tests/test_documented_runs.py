@@ -41,8 +41,6 @@ TINY = {
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
     "map": "--config map.yaml",
     "train": "--config train.yaml",
-    "train --seeds": "--seeds 2",
-    "train --algorithm ppo": "--set steps=480 --set num_evaluations=1",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
@@ -74,7 +72,7 @@ IN_THE_DAY = (
     "collect --plant rig --out dataset --arm",
     "evaluate controller --plant rig --trim --out evaluation --arm",
     "run controller --reference=2,0 --arm",
-    "train surrogate --controller gaits --out gaits",
+    "map surrogate --out gaits",
 )
 """Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
 
@@ -95,9 +93,6 @@ ELSEWHERE = {
     "robot view ucat --out robot.html": "tests/cli/test_robot.py",
     "robot view ucat --task lemniscate --out lemniscate.html": "tests/cli/test_robot.py",
     "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",
-    "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
-    "train surrogate --controller grid --engine ray --cluster head:6379 --out grid": "tests/learning/ray_cluster.py",
-    "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
 }

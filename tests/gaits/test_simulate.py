@@ -7,7 +7,7 @@ import pytest
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.gaits.simulate import AMPLITUDES, VELOCITIES, gait_families, strokes
-from tests.learning.mapped import simulate_gait, steady_state_force
+from tests.gaits.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
 KEY = jax.random.key(0)

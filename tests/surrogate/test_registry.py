@@ -145,7 +145,7 @@ def test_an_installed_architecture_is_fitted_compared_trained_in_and_evaluated(
 
     wide = tmp_path / "wide"
     save_surrogate(wide, gru.surrogate(), None, {})
-    words = ("--controller", "single", "--algorithm", "ppo", "--out", tmp_path / "controller")
+    words = ("--controller", "single", "--out", tmp_path / "controller")
     run(
         capsys,
         "train",

@@ -67,6 +67,7 @@ def save_policies(
     if config.controller == "single":
         # Only the policies of a grid have a leading axis of cells.
         policies = jax.tree.map(lambda leaf: leaf[0], policies)
+    arrays = {name: np.asarray(leaf) for name, leaf in name_policy_arrays(policies).items()}
     keys = {
         "cells": [cell.model_dump(mode="json") for cell in trained.cells],
         "task": trained.task.model_dump(mode="json"),
@@ -92,7 +93,7 @@ def save_policies(
         config.controller,
         trained.limits,
         keys,
-        name_policy_arrays(policies),
+        arrays,
         write_training,
         overwrite,
         trained.task.clock,

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from softfin.core.compilation import jit
 from softfin.core.errors import RunError
@@ -28,6 +28,7 @@ from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, eval
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 
+PerCell: TypeAlias = Float[np.ndarray, "cells"]
 Candidates: TypeAlias = tuple[Policy, PolicyEvaluation]
 """Policies and their evaluations; leaves have a leading axis of cells."""
 
@@ -60,7 +61,7 @@ def train(
 
     Raises:
         ConfigurationError: the fin can produce none of the references.
-        RunError: a loss is not finite.
+        RunError: a loss or a force is not finite.
     """
     limits = Limits(*map(float, plant.limits))
     plant = jit_argument(plant)
@@ -74,10 +75,12 @@ def train(
     log = []
     for update in range(1, config.num_updates + 1):
         agents, metrics = _update(fitted, plant, agents)
-        _check_finite(metrics, cells, update)
+        loss = np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"])
+        _check_finite("the loss", loss, cells, update)
         entry = {"step": update * config.ppo.steps_per_update, **_means(metrics)}
         if _is_evaluated(config, update):
             evaluation = _evaluate(task, plant, agents.policy, references)
+            _check_finite("the force in the evaluation", _errors(evaluation), cells, update)
             best = _better(best, (agents.policy, evaluation))
             entry |= _means(_scores(evaluation))
         log.append(entry)
@@ -119,11 +122,11 @@ def _is_evaluated(config: TrainConfig, update: int) -> bool:
     return update * count // config.num_updates > (update - 1) * count // config.num_updates
 
 
-def _check_finite(metrics: Metrics, cells: Cells, update: int) -> None:
-    for cell, loss, slope in zip(cells, metrics["loss"], metrics["gradient_norm"], strict=True):
-        if not np.isfinite(loss + slope):
+def _check_finite(what: str, values: PerCell, cells: Cells, update: int) -> None:
+    for cell, value in zip(cells, values, strict=True):
+        if not np.isfinite(value):
             raise RunError(
-                f"train: the loss is NaN or infinite in update {update}, cell {cell}; lower "
+                f"train: {what} is NaN or infinite in update {update}, cell {cell}; lower "
                 "ppo.learning_rate, or check the plant"
             )
 
@@ -132,7 +135,7 @@ def _better(best: Candidates | None, new: Candidates) -> Candidates:
     """Return for each cell the policy with the lower mean error, as NumPy arrays."""
     if best is None:
         best = new
-    is_better = _mean_error(new) < _mean_error(best)
+    is_better = _errors(new[1]) < _errors(best[1])
 
     def choose(new: Array, old: Array) -> np.ndarray:
         return np.asarray(np.where(is_better.reshape(-1, *[1] * (new.ndim - 1)), new, old))
@@ -141,9 +144,9 @@ def _better(best: Candidates | None, new: Candidates) -> Candidates:
     return chosen
 
 
-def _mean_error(candidates: Candidates) -> np.ndarray:
-    error = np.asarray(candidates[1].error)
-    return np.asarray(error.mean(axis=(1, 2)))
+def _errors(evaluation: PolicyEvaluation) -> PerCell:
+    """Return the mean error of each policy over its references and both axes [N]."""
+    return np.asarray(np.asarray(evaluation.error).mean(axis=(1, 2)))
 
 
 def _scores(evaluation: PolicyEvaluation) -> Metrics:
