@@ -235,7 +235,7 @@ def test_an_episode_shorter_than_the_window_is_refused() -> None:
 
 def test_observations_and_rewards_have_the_same_magnitude_for_a_fin_of_another_size() -> None:
     usual = TaskConfig(reward=RewardConfig(weight=(1, 2)))
-    large = usual.scaled(5)
+    large = usual.scaled(5.0)
     assert large.force_scale_n == 5 * usual.force_scale_n
     assert large.reward.weight == pytest.approx((0.2, 0.4))
     assert large.reward.smoothness == usual.reward.smoothness
