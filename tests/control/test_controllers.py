@@ -104,10 +104,7 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
 def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
     step = controller_of(GRID_RUN).step
     assert isinstance(step, GridStep)
-    first = [
-        int(step.nearest_cell(NUMPY, np.asarray(r, np.float32)))
-        for r in PAPER_REFERENCES
-    ]
+    first = [int(step.nearest_cell(NUMPY, np.asarray(r, np.float32))) for r in PAPER_REFERENCES]
     assert first == [0, 1, 2, 3, 4, 5]
     assert int(step.nearest_cell(NUMPY, np.array([9.0, 0.0]))) == 3
 

@@ -21,9 +21,7 @@ ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child
 
 def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(
-        ConfigurationError, match=r"^Ray is not installed; .*pip install .*\[ray\]"
-    ):
+    with pytest.raises(ConfigurationError, match=r"^Ray is not installed; .*pip install .*\[ray\]"):
         train_on_ray([], "127.0.0.1:6399")
 
 

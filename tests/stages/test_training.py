@@ -103,9 +103,7 @@ def test_a_plant_without_gradients_has_no_map(tmp_path: Path) -> None:
 def test_a_range_out_of_reach_leaves_nothing_behind(tmp_path: Path) -> None:
     said = Said()
     with pytest.raises(ConfigurationError, match=r"range paper: .* its reach is x "):
-        train(
-            StrokeFin(gain=0.01), tmp_path / "out", PPO.changed(["range=paper"]), progress=said
-        )
+        train(StrokeFin(gain=0.01), tmp_path / "out", PPO.changed(["range=paper"]), progress=said)
     assert said.stages == ["survey"]
     assert list(tmp_path.iterdir()) == []
 

@@ -74,7 +74,6 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         run_directory.log().close()
         return small.surrogate()
 
-
     monkeypatch.setattr(
         "softfin.stages.surrogates.find_fitted_architecture",
         lambda config: find_fitted_architecture(config)._replace(fit=fit_streaming),
