@@ -1,7 +1,7 @@
 """Training time and memory against the number of cells: all are agents of one program, so many cost
 little each.
 
-Two updates of each grid with the default LSTM-PPO, after compilation and without scoring; a cell's
+Two updates of each grid with the paper's LSTM-PPO, after compilation and without scoring; a cell's
 share of the time of the largest grid is held against the time of a grid of one.
 """
 
@@ -14,7 +14,7 @@ from benchmarks.measure import entry, seconds
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.core.randomness import named_key
-from softfin.learning.configuration import GRID
+from softfin.learning.configuration import PAPER_PRESETS
 from softfin.learning.ppo import PPO
 from softfin.task.references import PAPER_RANGE, divide, stack_references
 from softfin.task.task import ForceTracking
@@ -27,7 +27,8 @@ UPDATES = 2
 
 def measured(plant: Plant, side: int) -> dict[str, Any]:
     """Of a grid of side x side cells."""
-    learner = PPO(ForceTracking(plant, GRID.task), GRID.ppo, GRID.policy, UPDATES)
+    config = PAPER_PRESETS["grid"]
+    learner = PPO(ForceTracking(plant, config.task), config.ppo, config.policy, UPDATES)
     cells = divide(PAPER_RANGE, side, side)
     keys = jax.numpy.stack([named_key(0, f"cells/{cell}") for cell in cells])
     begin = time.perf_counter()

@@ -20,9 +20,8 @@ from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.reachable import Reachable
-from softfin.learning.configuration import SINGLE, TRAIN_PRESETS, TrainConfig
+from softfin.learning.configuration import PAPER_PRESETS, SINGLE, TrainConfig
 from softfin.learning.train import train
-from softfin.stages.reproduce_config import paper_training
 from softfin.stages.surrogates import import_keras
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
@@ -92,8 +91,8 @@ def main() -> list[dict[str, Any]]:
     fin = published()
     plant = fin or published_layout()
     rows = []
-    for kind, config in TRAIN_PRESETS.items():
-        got = run(plant, paper_training(config))
+    for kind, config in PAPER_PRESETS.items():
+        got = run(plant, config)
         rows.append(_row(f"ppo {kind}", got, 30, known=fin is not None))
     start = time.perf_counter()
     find_force_map(plant, MapConfig(box=PAPER_RANGE))

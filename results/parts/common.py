@@ -151,8 +151,16 @@ PAPER_BOX = "--set 'box={low: [0.5, -1.5], high: [3.5, 1.5]}' --set spacing_n=0.
 POLICIES = {
     "single": ("--controller single", 1.5),
     "grid": ("--controller grid", 2),
-    "single-ppo": ("--controller single --range paper --steps 30000", 0.7),
-    "grid-ppo": ("--controller grid --range paper --steps 10000", 1),
+    "single-ppo": (
+        "--controller single --range paper --steps 30000 --set ppo.num_envs=32 "
+        "--set ppo.num_epochs=8",
+        0.7,
+    ),
+    "grid-ppo": (
+        "--controller grid --range paper --steps 10000 --set ppo.num_envs=16 "
+        "--set ppo.num_epochs=10",
+        1,
+    ),
 }
 """Policies with the default budget, and with the paper's: options of `softfin train`, and
 minutes."""

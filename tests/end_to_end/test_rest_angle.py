@@ -14,7 +14,7 @@ from softfin.storage.registry import find_plant
 from softfin.surrogate import load_surrogate
 from softfin.tank import Tank, TankConfig
 from tests.end_to_end.test_stages import run, write
-from tests.staged import COARSE, TRAIN, MAP, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
+from tests.staged import COARSE, MAP, STREAMING, TRAIN, short_search  # noqa: F401  # pytest finds fixtures here
 
 LOW = 0.2
 HIGH = 1.2

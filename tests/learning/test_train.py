@@ -12,7 +12,7 @@ from softfin.gaits.reachable import PAPER_REFERENCES, Reachable, bounding_box
 from softfin.learning import train as training
 from softfin.learning.configuration import (
     GRID,
-    PAPER_STEPS,
+    PAPER_PRESETS,
     SINGLE,
     TrainConfig,
     training_cells,
@@ -119,10 +119,10 @@ def test_a_rollout_that_ends_within_a_cycle_of_the_clock_is_refused() -> None:
 
 
 def test_a_reproduction_has_the_budgets_and_references_of_the_paper() -> None:
-    assert PAPER_STEPS == {"single": 30_000, "grid": 10_000}
     paper = PRESETS["paper"]
-    assert paper.single == SINGLE.merged({"steps": 30_000, "range": "paper"}, "test")
-    assert paper.grid == GRID.merged({"steps": 10_000, "range": "paper"}, "test")
+    assert (paper.single, paper.grid) == tuple(PAPER_PRESETS.values())
+    assert [config.steps for config in PAPER_PRESETS.values()] == [30_000, 10_000]
+    assert {config.range for config in PAPER_PRESETS.values()} == {"paper"}
     for config in (SINGLE, GRID):
         assert config.task.episode_actions / 3 == 30
 

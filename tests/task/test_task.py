@@ -229,7 +229,7 @@ def test_the_critic_also_sees_the_mean_force_of_each_part_of_the_window() -> Non
 
 
 def test_an_episode_shorter_than_the_window_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="episode_actions = 3: .* use at least 6"):
+    with pytest.raises(ConfigurationError, match=r"episode_actions = 3: .* use at least 6"):
         TaskConfig.build({"episode_actions": 3})
 
 

@@ -24,9 +24,6 @@ GRID_SHAPE = (2, 3)
 CHECKED_POINTS = 8
 """Number of points along each side of a cell; the fin must reach at least one of them."""
 
-PAPER_STEPS: Mapping[PolicyLayout, int] = MappingProxyType({"single": 30_000, "grid": 10_000})
-"""The paper's number of actions per policy."""
-
 
 class TrainConfig(Configuration):
     """Configuration of a training run; the defaults are those of a single policy."""
@@ -92,6 +89,19 @@ TRAIN_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
     {"single": SINGLE, "grid": GRID}
 )
 """Defaults by type of controller."""
+
+PAPER_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
+    {
+        "single": SINGLE.changed(
+            ["range=paper", "steps=30000", "ppo.num_envs=32", "ppo.num_epochs=8"]
+        ),
+        "grid": GRID.changed(
+            ["range=paper", "steps=10000", "ppo.num_envs=16", "ppo.num_epochs=10"]
+        ),
+    }
+)
+"""The paper's references and numbers of actions, by type of controller. So few actions need more
+updates per rollout."""
 
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:

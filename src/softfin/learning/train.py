@@ -17,7 +17,7 @@ from softfin.core.errors import RunError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES, Limits
+from softfin.core.quantities import AXES, AnyArray, Limits
 from softfin.core.randomness import named_key
 from softfin.gaits.reachable import Cells, Reachable
 from softfin.gaits.simulate import ReportSearch
@@ -137,7 +137,7 @@ def _better(best: Candidates | None, new: Candidates) -> Candidates:
         best = new
     is_better = _errors(new[1]) < _errors(best[1])
 
-    def choose(new: Array, old: Array) -> np.ndarray:
+    def choose(new: AnyArray, old: AnyArray) -> np.ndarray:
         return np.asarray(np.where(is_better.reshape(-1, *[1] * (new.ndim - 1)), new, old))
 
     chosen: Candidates = jax.tree.map(choose, new, best)

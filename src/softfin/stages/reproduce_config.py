@@ -13,7 +13,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
-from softfin.learning.configuration import GRID, PAPER_STEPS, SINGLE, TrainConfig
+from softfin.learning.configuration import GRID, PAPER_PRESETS, SINGLE, TrainConfig
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.registry import find_architecture, list_architectures
 from softfin.task.signals import Recorded
@@ -29,13 +29,6 @@ else:
     AnyFitConfig = Union[tuple(find_architecture(name).config for name in list_architectures())]  # noqa: UP007
 
 
-def paper_training(config: TrainConfig) -> TrainConfig:
-    """Return a configuration with the paper's references and number of actions."""
-    return config.merged(
-        {"range": "paper", "steps": PAPER_STEPS[config.controller]}, "paper training"
-    )
-
-
 class ReproduceConfig(Configuration):
     """Configuration of all stages; the defaults are the paper's data and budgets. A policy set to
     null is skipped."""
@@ -47,9 +40,9 @@ class ReproduceConfig(Configuration):
     surrogate."""
     gaits: MapConfig = MapConfig()
     """Gaits for the forces that the fin can produce."""
-    single: TrainConfig | None = paper_training(SINGLE)
+    single: TrainConfig | None = PAPER_PRESETS["single"]
     """One policy for all references."""
-    grid: TrainConfig | None = paper_training(GRID)
+    grid: TrainConfig | None = PAPER_PRESETS["grid"]
     """One policy per cell."""
     evaluate: EvaluateConfig = EvaluateConfig(seeds=1, references=PAPER_REFERENCES)
     """Experiments; each trained controller runs all of them, `seeds` times. With `trim`, all run in
