@@ -25,7 +25,7 @@ from softfin.control.store import load_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Reachable
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig, evaluation_references
 from softfin.learning.controllers import save_policies
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
@@ -75,9 +75,10 @@ def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
     policies = jax.vmap(lambda key: Policy.create(key, size, config.task.observations))(keys)
     nothing = jnp.zeros((len(cells), config.lattice**2, 2))
     evaluation = PolicyEvaluation(nothing, nothing)
+    references = evaluation_references(config, cells, REACH)
     log = [{"step": 1, "score_x_n": 0.0, "score_y_n": 0.0}]
     trained = TrainedPolicies(
-        config, config.task, cells, REACH, PAPER_LIMITS, policies, evaluation, log
+        config, config.task, cells, REACH, PAPER_LIMITS, policies, references, evaluation, log
     )
     save_policies(folder, trained, {}, {})
 

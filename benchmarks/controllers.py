@@ -21,7 +21,7 @@ from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import PAPER_PRESETS, SINGLE, TrainConfig
-from softfin.learning.train import train
+from softfin.learning.train import train_policies
 from softfin.stages.surrogates import import_keras
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
@@ -41,7 +41,7 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
     def note(done: float, _: str) -> None:
         moments.append((time.perf_counter() - start, done))
 
-    trained = train(plant, config, WIDE, report=note)
+    trained = train_policies(plant, config, WIDE, report=note)
     log = trained.log
     whole = config.num_updates * config.ppo.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}

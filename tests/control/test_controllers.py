@@ -20,7 +20,13 @@ from softfin.core.errors import ArtifactError, CoverageError
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig, training_cells
+from softfin.learning.configuration import (
+    GRID,
+    SINGLE,
+    TrainConfig,
+    evaluation_references,
+    training_cells,
+)
 from softfin.learning.controllers import save_policies
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
@@ -48,7 +54,10 @@ def untrained(config: TrainConfig) -> TrainedPolicies:
     loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
     shape = (len(cells), config.lattice**2, 2)
     evaluation = PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
-    return TrainedPolicies(config, config.task, cells, WIDE, PAPER_LIMITS, loud, evaluation, LOG)
+    references = evaluation_references(config, cells, WIDE)
+    return TrainedPolicies(
+        config, config.task, cells, WIDE, PAPER_LIMITS, loud, references, evaluation, LOG
+    )
 
 
 def controller_of(trained: TrainedPolicies) -> LoadedController:

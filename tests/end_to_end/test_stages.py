@@ -10,7 +10,7 @@ import yaml
 
 from softfin.cli import main
 from softfin.core.errors import LogError
-from softfin.learning.train import train
+from softfin.learning.train import train_policies
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import TRAINING_LOG
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
@@ -173,7 +173,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
 
     def counted(plant, config, reachable, seed, report):
         trained.append(f"{config.controller}-{seed}")
-        return train(plant, config, reachable, seed, report)
+        return train_policies(plant, config, reachable, seed, report)
 
     def stopped(*given):
         if len(trained) == 3:

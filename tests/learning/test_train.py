@@ -20,7 +20,7 @@ from softfin.learning.configuration import (
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.train import TrainedPolicies, train
+from softfin.learning.train import TrainedPolicies, train_policies
 from softfin.stages.reproduce_config import PRESETS
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig
@@ -44,7 +44,7 @@ NEAR_TWO = Reachable(np.array([1.5, -1], np.float32), np.full(32, 0.4, np.float3
 
 @pytest.fixture(scope="module")
 def trained() -> TrainedPolicies:
-    return train(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
+    return train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
 
 
 def test_there_is_a_policy_for_each_cell_and_none_are_alike(trained: TrainedPolicies) -> None:
@@ -57,9 +57,9 @@ def test_there_is_a_policy_for_each_cell_and_none_are_alike(trained: TrainedPoli
 
 def test_policies_depend_on_their_seed_and_cell_only(trained: TrainedPolicies) -> None:
     first = Reachable(np.array([1, -1], np.float32), np.full(32, 0.4, np.float32))
-    again = train(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
+    again = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
     jax.tree.map(np.testing.assert_array_equal, again.policies, trained.policies)
-    other = train(AnalyticFin(), SMALL, NEAR_TWO, seed=6)
+    other = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=6)
     kernels = [np.asarray(run.policies.net.lstm.kernel[0]) for run in (trained, other)]
     assert (kernels[0] != kernels[1]).any()
     assert training_cells(SMALL, first) == PAPER_CELLS[:1]
@@ -94,7 +94,7 @@ def test_a_loss_that_is_not_finite_stops_with_its_place() -> None:
         r"lower ppo.learning"
     )
     with pytest.raises(RunError, match=words):
-        train(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO)
+        train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO)
 
 
 def test_forces_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +103,7 @@ def test_forces_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.M
     monkeypatch.setattr(training, "_evaluate", lambda *given: worst)
     words = r"^train: the force in the evaluation is NaN or infinite in update 1, cell x 1.5 .. 2.5"
     with pytest.raises(RunError, match=words):
-        train(AnalyticFin(), SMALL, NEAR_TWO)
+        train_policies(AnalyticFin(), SMALL, NEAR_TWO)
 
 
 def test_a_budget_under_one_rollout_is_refused() -> None:
@@ -168,7 +168,7 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(1))
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
     one = SMALL.model_copy(update={"controller": "single", "num_evaluations": 1})
-    run = train(streaming.surrogate(), one, WIDE)
+    run = train_policies(streaming.surrogate(), one, WIDE)
     assert 0 <= run.log[-1]["score_out_of_distribution"] <= 1
     assert not any("score_out_of_distribution" in entry for entry in trained.log)
 
@@ -180,7 +180,7 @@ def test_policies_are_evaluated_in_the_plant_as_it_is_now(
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
 
     def error(plant: PlainFin) -> Any:
-        return np.asarray(train(plant, SMALL, NEAR_TWO).evaluation.error)
+        return np.asarray(train_policies(plant, SMALL, NEAR_TWO).evaluation.error)
 
     plant = PlainFin(gain=0.1)
     before = error(plant)
@@ -199,7 +199,9 @@ def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(
     idle = {name: jnp.zeros(2) for name in ("loss", "gradient_norm")} | metrics
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
     said: list[tuple[float, str]] = []
-    train(AnalyticFin(), SMALL, NEAR_TWO, report=lambda done, note: said.append((done, note)))
+    train_policies(
+        AnalyticFin(), SMALL, NEAR_TWO, report=lambda done, note: said.append((done, note))
+    )
     assert [done for done, _ in said] == [0.25, 0.5, 0.75, 1.0]
     errors = {1.0: "0.12/0.35", 0.05: "0.006/0.017"}[scale]
     assert said[-1][1] == f"error {errors} N while exploring"

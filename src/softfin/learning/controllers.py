@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from softfin.control.store import write_controller
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AnyArray
-from softfin.learning.configuration import evaluation_references
 from softfin.learning.policy import name_policy_arrays
 from softfin.learning.train import TrainedPolicies
 from softfin.storage import artifact as artifacts
@@ -108,14 +107,13 @@ def list_scores(trained: TrainedPolicies) -> list[JsonObject]:
     ensemble.
     """
     rows = []
-    tracked = evaluation_references(trained.config, trained.cells, trained.reachable)
     outside = trained.evaluation.out_of_distribution_fraction
     for i, cell in enumerate(trained.cells):
         for j, reference in enumerate(cell.lattice(trained.config.lattice)):
             row: JsonObject = {
                 "cell": i,
                 "reference_n": list(reference),
-                "tracked_reference_n": _rounded(tracked[i, j]),
+                "tracked_reference_n": _rounded(trained.references[i, j]),
                 "error_n": _rounded(trained.evaluation.error[i, j]),
                 "std_n": _rounded(trained.evaluation.std[i, j]),
             }

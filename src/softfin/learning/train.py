@@ -44,13 +44,15 @@ class TrainedPolicies(NamedTuple):
     limits: Limits
     policies: Policy
     """Policy of each cell with the lowest error; leaves ``(cells, ...)``."""
+    references: Float[np.ndarray, "cells references 2"]
+    """Evaluation references, each moved to the nearest reachable force [N]."""
     evaluation: PolicyEvaluation
     """Evaluation of these policies, ``(cells, references, 2)``."""
     log: list[JsonObject]
     """Metrics of each update, as means over the cells."""
 
 
-def train(
+def train_policies(
     plant: Plant,
     config: TrainConfig,
     reachable: Reachable,
@@ -68,7 +70,7 @@ def train(
     cells = training_cells(config, reachable)
     task = config.task.scaled(reachable.size)
     fitted = config.model_copy(update={"task": task})
-    references = jnp.asarray(evaluation_references(config, cells, reachable))
+    references = evaluation_references(config, cells, reachable)
     keys = jnp.stack([named_key(seed, f"train/{cell}") for cell in cells])
     agents = _start(fitted, plant, keys, stack_references(cells, reachable))
     best: Candidates | None = None
@@ -79,7 +81,7 @@ def train(
         _check_finite("the loss", loss, cells, update)
         entry = {"step": update * config.ppo.steps_per_update, **_means(metrics)}
         if _is_evaluated(config, update):
-            evaluation = _evaluate(task, plant, agents.policy, references)
+            evaluation = _evaluate(task, plant, agents.policy, jnp.asarray(references))
             _check_finite("the force in the evaluation", _errors(evaluation), cells, update)
             best = _better(best, (agents.policy, evaluation))
             entry |= _means(_scores(evaluation))
@@ -87,7 +89,10 @@ def train(
         errors = "/".join(f"{entry[f'error_{axis}_n']:.2g}" for axis in AXES)
         report(update / config.num_updates, f"error {errors} N while exploring")
     assert best is not None
-    return TrainedPolicies(config, task, cells, reachable, limits, *best, log)
+    policies, evaluation = best
+    return TrainedPolicies(
+        config, task, cells, reachable, limits, policies, references, evaluation, log
+    )
 
 
 @jit("none")

@@ -18,7 +18,7 @@ from softfin.gaits.simulate import SurveyConfig, survey
 from softfin.gaits.usable import check_usable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.controllers import list_scores, save_policies
-from softfin.learning.train import train as train_policies
+from softfin.learning.train import train_policies
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant, plant_name
 from softfin.surrogate.channels import learnt_from
