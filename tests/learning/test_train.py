@@ -143,7 +143,7 @@ def test_six_cells_cover_the_reach() -> None:
 
 
 def test_a_grid_has_no_cell_that_the_fin_cannot_reach() -> None:
-    diagonal = np.full(8, 0.01, np.float32)
+    diagonal = np.full(8, 0.3, np.float32)
     diagonal[[1, 5]] = 2
     region = Reachable(np.zeros(2, np.float32), diagonal)
     cells = training_cells(GRID, region)

@@ -141,12 +141,12 @@ def training_cells(config: TrainConfig, reachable: Reachable) -> Cells:
     else:
         cells = PAPER_CELLS if config.range == "paper" else divide(box, *GRID_SHAPE)
     within = tuple(cell for cell in cells if reachable.contains(cell.lattice(CHECKED_POINTS)).any())
-    if not within:
+    if not within and config.range == "paper":
         raise ConfigurationError(
             f"range paper: this fin cannot produce any of the paper's references ({box}); its "
             f"reach is {reachable.describe()}; use range reach"
         )
-    return within
+    return within or cells
 
 
 def evaluation_references(

@@ -43,8 +43,8 @@ class References(NamedTuple):
     def draw(self, key: PRNGKeyArray) -> ForcePoint:
         """Draw one reference, uniform over the box; if it is unreachable, return the nearest
         reachable one."""
-        drawn = self.low + jax.random.uniform(key, (2,)) * (self.high - self.low)
-        return drawn if self.reachable is None else jnp.asarray(self.reachable.project(drawn))
+        force = self.low + jax.random.uniform(key, (2,)) * (self.high - self.low)
+        return force if self.reachable is None else jnp.asarray(self.reachable.project(force))
 
 
 def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:
