@@ -146,17 +146,8 @@ def test_an_installed_architecture_is_fitted_compared_trained_in_and_evaluated(
     wide = tmp_path / "wide"
     save_surrogate(wide, gru.surrogate(), None, {})
     words = ("--controller", "single", "--out", tmp_path / "controller")
-    run(
-        capsys,
-        "train",
-        wide,
-        *words,
-        "--range",
-        "paper",
-        "--config",
-        write(tmp_path / "train.yaml", TRAIN),
-    )
-    words = ("--reference=1,0", "--seconds", "3", "--repeats", "1", "--out", tmp_path / "judged")
+    run(capsys, "train", wide, *words, "--config", write(tmp_path / "train.yaml", TRAIN))
+    words = ("--seconds", "3", "--repeats", "1", "--out", tmp_path / "judged")
     scored = run(capsys, "evaluate", tmp_path / "controller", "--plant", wide, *words, "--json")
     assert json.loads(scored)["references"][0]["x"]["error_n"] >= 0
 

@@ -90,7 +90,7 @@ class TrainArguments(Configured):
     """Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
     (default: paper, which is 3,2)."""
     steps: int | None = None
-    """Number of training actions per policy (default: 100000, or 33000 per cell of a grid)."""
+    """Number of training actions per policy (default: 200000, or 33000 per cell of a grid)."""
     seed: int = 0
     """Seed for weights, exploration and references."""
 

@@ -39,12 +39,12 @@ PerStep = Float[Array, "time environments"]
 class PPOConfig(Configuration):
     """Configuration of LSTM-PPO."""
 
-    num_envs: PositiveInt = 32
+    num_envs: PositiveInt = 64
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 15
     """Number of actions per environment and update, whole cycles of the clock; gradients are
     propagated through all of them."""
-    num_epochs: PositiveInt = 8
+    num_epochs: PositiveInt = 4
     """Number of passes over each rollout."""
     num_minibatches: PositiveInt = 8
     """Number of updates per epoch. Each minibatch contains complete sequences of
