@@ -116,8 +116,10 @@ def errors(folder: Path) -> dict[str, Any]:
     axes = [evaluation["mean"][axis] for axis in ("x", "y")]
     return {
         "error_n": [axis["error_n"] for axis in axes],
+        # The interval is null if all seeds have the same error.
         "half_interval_n": [
-            (high - low) / 2 for low, high in (axis["error_interval_n"] for axis in axes)
+            (high - low) / 2
+            for low, high in (axis["error_interval_n"] or (0.0, 0.0) for axis in axes)
         ],
         **{name: evaluation["conditions"][name] for name in ("seeds", "duration_s")},
         "references_n": [row["reference_n"] for row in evaluation["references"]],

@@ -14,18 +14,16 @@ from softfin.core.errors import RunError
 from softfin.stages.controllers import train
 from softfin.stages.ray_training import train_on_ray
 from softfin.storage.artifact import WEIGHTS
+from tests.patience import HANG_S
 from tests.stages.test_training import PPO
 
 PLANT = "tests.plants:StrokeFin"
-HEAD = """
-import os, sys, ray
-started = ray.init("local", include_dashboard=False, _node_ip_address="127.0.0.1", num_cpus=2,
-                   object_store_memory=2**28, log_to_driver=False, logging_level="ERROR")
-os.write(sys.stdout.fileno(), (started.address_info["gcs_address"] + "\\n").encode())
-sys.stdin.read()
-ray.shutdown()
-"""
-"""In a process without JAX, whose threads do not survive a fork."""
+CLUSTER = "127.0.0.1:6399"
+START = (
+    *(sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--port=6399"),
+    *("--node-ip-address=127.0.0.1", "--num-cpus=2", "--object-store-memory=100000000"),
+    *("--include-dashboard=false", "--disable-usage-stats"),
+)
 
 
 def raise_loopback() -> None:
@@ -46,17 +44,13 @@ def main(folder: Path) -> None:
         name: {"plant": PLANT, "out": folder / name, "config": PPO, "seed": seed}
         for name, seed in (("first", 0), ("second", 1), ("taken", 2), ("third", 3))
     }
-    with subprocess.Popen(
-        [sys.executable, "-P", "-c", HEAD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as head:
-        assert head.stdout is not None
-        cluster = head.stdout.readline().strip()
-        results = train_on_ray([runs["first"], runs["second"]], cluster)
-        error = ""
-        try:
-            train_on_ray([runs["taken"], runs["third"]], cluster)
-        except RunError as failed:
-            error = str(failed)
+    subprocess.run(START, check=True, timeout=HANG_S)
+    results = train_on_ray([runs["first"], runs["second"]], CLUSTER)
+    error = ""
+    try:
+        train_on_ray([runs["taken"], runs["third"]], CLUSTER)
+    except RunError as failed:
+        error = str(failed)
     for name in ("first", "second"):
         train(**{**runs[name], "out": folder / f"{name}-alone"})
     told = {
