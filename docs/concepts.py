@@ -317,7 +317,7 @@ def trim(figure: Figure) -> None:
     tank = Tank()
     reference_n = np.array([2.0, 1.0])
     count = 90
-    single = load_controller(EXAMPLE / "single")
+    gaits = load_controller(EXAMPLE / "gaits")
     steps = {
         ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
         for ticks in set(PAPER_CLOCK.ticks)
@@ -339,7 +339,7 @@ def trim(figure: Figure) -> None:
 
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
-    runs = (("without", run(single), GREY), ("with --trim", run(DisturbanceObserver(single)), BLUE))
+    runs = (("without", run(gaits), GREY), ("with --trim", run(DisturbanceObserver(gaits)), BLUE))
     for axis, axes in enumerate(panels):
         for name, force_n, colour in runs:
             mean = mean_force(force_n[:, axis])

@@ -36,9 +36,9 @@ class TrainConfig(Configuration):
     steps: PositiveInt = 200_000
     """Number of actions in the plant per policy, over all its environments.
 
-    In the surrogate of softfin's example, the error in the tank is 0.09 N after 100,000 actions
-    (mean of both axes, three seeds) and 0.07 N after 200,000 (two seeds). The runs are listed in
-    docs/appendix/controllers.md.
+    In a surrogate of the demo, the error in the tank is 0.09 N after 100,000 actions (mean of both
+    axes, three seeds) and 0.07 N after 200,000 (two seeds). docs/appendix/controllers.md lists the
+    runs.
     """
     task: TaskConfig = TaskConfig(reference_actions=45)
     """Force-tracking task, for the paper's fin; scaled by the size of the fin."""
