@@ -72,7 +72,7 @@ IN_THE_DAY = (
     "collect --plant rig --out dataset --arm",
     "evaluate controller --plant rig --trim --out evaluation --arm",
     "run controller --reference=2,0 --arm",
-    "map surrogate --out gaits",
+    "map surrogate --out controller",
 )
 """Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
 
