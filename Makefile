@@ -43,7 +43,7 @@ test-long: setup ## all tests, with more cases of each kind and twenty minutes o
 	SOFTFIN_LONG=1 $(PYTEST)
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
-	$(RUN) --extra ray pytest -n auto --dist load -rs tests/learning/test_ray_training.py
+	$(RUN) --extra ray pytest -n auto --dist load -rs tests/stages/test_ray_training.py
 
 mutants: setup ## change the rig's code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1
 	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES))

@@ -23,15 +23,14 @@ from softfin.control.controller import LoadedController, Measured
 from softfin.control.onnx import export_onnx
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Reachable
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.controllers import save_controller
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig, evaluation_references
+from softfin.learning.controllers import save_policies
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import TrainingResult
-from softfin.task.references import PAPER_RANGE, lattice
+from softfin.learning.train import TrainedPolicies
+from softfin.task.references import PAPER_RANGE, divide
 
 WARM = 300
 STEPS = 3000
@@ -39,6 +38,7 @@ STEPS = 3000
 ANGLE = 0.3
 FORCE = (1.0, 0.0)
 REFERENCE = (2.0, 0.3)
+REACH = Reachable(np.zeros(2, np.float32), np.full(12, 9, np.float32))
 
 
 @contextmanager
@@ -68,30 +68,27 @@ def percentiles(step: Callable[[Any], Any], state: Any) -> tuple[float, float]:
 
 
 def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
-    """A controller with an LSTM of so many units and as wide a layer."""
+    """A controller with an LSTM of so many units and as wide a layer; a grid of nine cells."""
     size = PolicyConfig(units=units, width=units)
-    config = config.model_copy(update={"policy": size})
-    keys = jax.random.split(jax.random.key(0), (1, len(config.cells)))
-    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, size, config.task.observations)))(
-        keys
-    )
-    nothing = jnp.zeros((1, len(config.cells), config.lattice**2, 2))
+    cells = (PAPER_RANGE,) if config.controller == "single" else divide(PAPER_RANGE, 3, 3)
+    keys = jax.random.split(jax.random.key(0), len(cells))
+    policies = jax.vmap(lambda key: Policy.create(key, size, config.task.observations))(keys)
+    nothing = jnp.zeros((len(cells), config.lattice**2, 2))
     evaluation = PolicyEvaluation(nothing, nothing)
-    save_controller(folder, TrainingResult(config, PAPER_LIMITS, (0,), policies, evaluation), 0, {})
+    references = evaluation_references(config, cells, REACH)
+    log = [{"step": 1, "score_x_n": 0.0, "score_y_n": 0.0}]
+    trained = TrainedPolicies(
+        config, config.task, cells, REACH, PAPER_LIMITS, policies, references, evaluation, log
+    )
+    save_policies(folder, trained, {}, {})
 
 
 def write_gaits(folder: Path) -> None:
     """A table of 7 x 7 gaits."""
     table = GaitTable.over(PAPER_RANGE, 0.5)
     nothing = np.zeros((*table.actions.shape[:2], 2), np.float32)
-    reach = Reachable(np.zeros(2, np.float32), np.full(12, 9, np.float32))
-    save_gaits(
-        folder,
-        ForceMap(GaitSearchResult(table, nothing, nothing), reach),
-        MapConfig(),
-        PAPER_LIMITS,
-        {},
-    )
+    force_map = ForceMap(GaitSearchResult(table, nothing, nothing), REACH)
+    save_gaits(folder, force_map, 0.1, PAPER_LIMITS, {})
 
 
 def native(controller: LoadedController) -> tuple[float, float]:
@@ -160,13 +157,10 @@ def used(controller: LoadedController) -> int:
 
 
 def main() -> list[dict[str, Any]]:
-    phased = SINGLE.task.model_copy(update={"phase": True})
-    single, grid = (config.model_copy(update={"task": phased}) for config in (SINGLE, GRID))
-    grid = grid.model_copy(update={"cells": lattice(3, 3, PAPER_RANGE)})
     written: dict[str, tuple[Callable[[Path], None], float]] = {
-        "single, LSTM 64": (lambda folder: write_policies(folder, single, 64), 30),
-        "single, LSTM 256": (lambda folder: write_policies(folder, single, 256), 100),
-        "grid of 9, LSTM 64": (lambda folder: write_policies(folder, grid, 64), 60),
+        "single, LSTM 64": (lambda folder: write_policies(folder, SINGLE, 64), 30),
+        "single, LSTM 256": (lambda folder: write_policies(folder, SINGLE, 256), 100),
+        "grid of 9, LSTM 64": (lambda folder: write_policies(folder, GRID, 64), 60),
         "gaits, 7 x 7": (write_gaits, 20),
     }
     rows = []

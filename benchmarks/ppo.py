@@ -14,7 +14,7 @@ from benchmarks.controllers import run
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
-from softfin.learning.configuration import GRID, SINGLE
+from softfin.learning.configuration import PAPER_PRESETS
 from softfin.surrogate import Surrogate
 
 PEER_STEPS = 512
@@ -38,8 +38,8 @@ def peer_speed(plant: Surrogate, units: int) -> float:
 
 def main() -> list[dict[str, Any]]:
     plant = published_layout()
-    grid = run(plant, GRID)
-    single = run(plant, SINGLE)
+    grid = run(plant, PAPER_PRESETS["grid"])
+    single = run(plant, PAPER_PRESETS["single"])
     details: dict[str, Any] = {
         "grid_steps_per_s": grid["steps_per_s"],
         "single_steps_per_s": single["steps_per_s"],

@@ -12,7 +12,7 @@ import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError
@@ -50,12 +50,9 @@ def run_recurrent(
     count = len(references)
 
     @jax.jit
-    def observe(
-        angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]
-    ) -> Array:
-        ages = jnp.full(count, age)
+    def observe(angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"]) -> Array:
         return jax.vmap(lambda *observed: observation(task, *observed))(
-            angle, jnp.asarray(references), actions, ages
+            angle, jnp.asarray(references), actions
         )
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, RecordedTicks]:
@@ -77,7 +74,7 @@ def run_recurrent(
     kept = []
     held = PAPER_CLOCK.action_ticks(config.seconds * len(PAPER_CLOCK.ticks))
     for age, ticks in enumerate(held):
-        observed = np.asarray(observe(angle, actions, jnp.int32(age)))
+        observed = np.asarray(observe(angle, actions))
         starts = np.full(count, age == 0)
         predicted, memory = model.predict(
             observed, state=memory, episode_start=starts, deterministic=True

@@ -24,7 +24,6 @@ from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import hold
 from softfin.core.quantities import RATE_HZ, Command, action_to_command
 from softfin.evaluation.fin_figure import draw_fin
-from softfin.gaits.force_map import load_map
 from softfin.storage.figures import (
     BLACK,
     BLUE,
@@ -267,12 +266,13 @@ def window(figure: Figure) -> None:
 
 def gait(figure: Figure) -> None:
     """A gait of the example, repeated three times in the tank without noise, and its mean force."""
-    table = load_map(EXAMPLE / "map").force_map.gaits.table
+    controller = load_controller(EXAMPLE / "gaits")
+    table = controller.step.table
     reference_n = (2.0, 0.0)
     times = 4
     scaled = np.tile(np.asarray(table.gait(np.asarray(reference_n, np.float32))), (times, 1))
     tank = Tank()
-    command = action_to_command(load_controller(EXAMPLE / "gaits").limits, jnp.asarray(scaled.T))
+    command = action_to_command(controller.limits, jnp.asarray(scaled.T))
     reading = jax.tree.map(
         np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), command))()[1]
     )
@@ -312,20 +312,22 @@ def gait(figure: Figure) -> None:
 
 def force_map(figure: Figure) -> None:
     """What the fin of the example can make, the nodes of its map, and the cells of its grid."""
-    found = load_map(EXAMPLE / "map").force_map
+    gaits = load_controller(EXAMPLE / "gaits")
     grid = load_controller(EXAMPLE / "grid")
+    corners = gaits.reachable.corners()
     figure.set_size_inches(WIDTH_IN, 5.0)
     axes = figure.subplots()
-    axes.add_patch(Polygon(found.reachable.corners(), facecolor=BLUE, alpha=0.12))
-    outline = np.concatenate([found.reachable.corners(), found.reachable.corners()[:1]])
+    axes.add_patch(Polygon(corners, facecolor=BLUE, alpha=0.12))
+    outline = np.concatenate([corners, corners[:1]])
     axes.plot(
         *outline.T,
         color=BLUE,
         linewidth=1.6,
         label="edge of what the fin can make: the reachable forces",
     )
-    nodes = found.gaits.table.references()
-    held = found.gaits.force_error() <= 0.1
+    scores = gaits.artifact.description["scores"]
+    nodes = np.array([score["reference_n"] for score in scores])
+    held = np.array([score["missed_n"] for score in scores]) <= 0.1
     axes.plot(
         *nodes[held].T,
         "o",
@@ -367,7 +369,7 @@ def trim(figure: Figure) -> None:
     tank = Tank()
     reference_n = np.array([2.0, 1.0])
     count = 90
-    single = load_controller(EXAMPLE / "single")
+    gaits = load_controller(EXAMPLE / "gaits")
     steps = {
         ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
         for ticks in set(PAPER_CLOCK.ticks)
@@ -389,7 +391,7 @@ def trim(figure: Figure) -> None:
 
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
-    runs = (("without", run(single), GREY), ("with --trim", run(DisturbanceObserver(single)), BLUE))
+    runs = (("without", run(gaits), GREY), ("with --trim", run(DisturbanceObserver(gaits)), BLUE))
     for axis, axes in enumerate(panels):
         for name, force_n, colour in runs:
             mean = mean_force(force_n[:, axis])

@@ -191,7 +191,7 @@ def python() -> Iterator[str]:
         "Their fields are those of [the command line's files](configuration.md): "
         + ", ".join(f"`softfin.{name}`" for name in configurations)
         + "; `softfin.SINGLE`, `softfin.GRID` and "
-        "`softfin.PRESETS` are the paper's and softfin's own values.",
+        "`softfin.PRESETS` are the defaults of training and of `softfin reproduce`.",
         "",
     )
     for module in ("softfin.testing", "softfin.gym"):

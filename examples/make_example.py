@@ -25,9 +25,8 @@ from softfin.storage.log_file import read_log
 
 PARTS = {
     "surrogate": "run/surrogate",
-    "map": "run/map",
     "gaits": "run/gaits",
-    "single": "run/single/seed-0",
+    "single": "run/single",
     "grid": "grid",
 }
 """Folders of the example, and where the commands write them."""
@@ -37,8 +36,7 @@ RECORDING = "recordings/minute.csv"
 
 MAKING = {
     "run": "softfin reproduce --preset demo --plant tank --out run",
-    "grid": "softfin train run/surrogate --controller grid --range paper --algorithm gradient --map run/map "
-    "--out grid",
+    "grid": "softfin train run/surrogate --controller grid --out grid",
     "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out "
     "minute",
 }
@@ -118,8 +116,10 @@ def errors(folder: Path) -> dict[str, Any]:
     axes = [evaluation["mean"][axis] for axis in ("x", "y")]
     return {
         "error_n": [axis["error_n"] for axis in axes],
+        # The interval is null if all seeds have the same error.
         "half_interval_n": [
-            (high - low) / 2 for low, high in (axis["error_interval_n"] for axis in axes)
+            (high - low) / 2
+            for low, high in (axis["error_interval_n"] or (0.0, 0.0) for axis in axes)
         ],
         **{name: evaluation["conditions"][name] for name in ("seeds", "duration_s")},
         "references_n": [row["reference_n"] for row in evaluation["references"]],
@@ -137,7 +137,7 @@ def readme(description: dict[str, Any]) -> str:
     table = "\n".join(
         f"| `{name}` | {stated[name]} | {stated[f'{name}-trim']} |" for name in CONTROLLERS
     )
-    row = description["errors"]["single"]
+    row = description["errors"]["gaits"]
     origin = description["provenance"]
     references = ", ".join("({:g}, {:g})".format(*reference) for reference in row["references_n"])
     commands = "\n".join(f"    {command}" for command in description["commands"])
@@ -148,18 +148,18 @@ Trained already, small, and of softfin's virtual tank, not of a real fin.
 | folder | |
 | --- | --- |
 | `surrogate` | streaming ensemble of three, fitted to ten minutes of the tank |
-| `map`, `gaits` | mean forces that the fin can make in it; gaits that make them, as a controller |
-| `single` | one policy for all references, trained by gradients through the surrogate |
-| `grid` | a policy for each of the paper's six cells, trained in the same way |
+| `gaits` | mean forces that the fin can make in it, and gaits that make them: a controller |
+| `single` | one policy for all references, trained in the surrogate by LSTM-PPO |
+| `grid` | a policy for each of six cells, trained in the same way |
 | `{RECORDING}` | one minute of random motions with the columns of a laboratory's own program: ms, degrees, N |
 | `example.json` | commands, errors, SHA-256 of each file, versions |
 
 Try them:
 
-    softfin evaluate single --plant tank --reference=2,-1 --repeats 1 --out evaluation
-    softfin explore single --plant tank --plant surrogate --out explore.html
+    softfin evaluate gaits --plant tank --reference=2,-1 --repeats 1 --out evaluation
+    softfin explore gaits --plant tank --plant surrogate --out explore.html
     softfin rig emulate && softfin rig check --prove --arm && softfin rig zero --arm
-    softfin run single --reference=2,-1 --seconds 10 --arm
+    softfin run gaits --reference=2,-1 --seconds 10 --arm
     softfin import-logs recordings --out dataset
 
 Error of the true mean force in the tank, x / y in N: mean of |moving average over 200 samples - reference| over

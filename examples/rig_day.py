@@ -56,9 +56,7 @@ def day(quick: bool) -> None:
         if quick
         else ("box={low: [0, -1], high: [2.5, 1]}",)
     )
-    softfin(
-        "train", "surrogate", "--controller", "gaits", "--out", "controller", *settings(lattice)
-    )
+    softfin("map", "surrogate", "--out", "controller", *settings(lattice))
 
     # Afternoon: hold forces, judge, hand on.
     amount = ("--seconds=5", "--repeats=1") if quick else ("--seconds=20", "--repeats=2")

@@ -1,5 +1,5 @@
 """What the commands of the documents name, at tiny sizes: logs, networks with random weights,
-controllers, a map.
+controllers.
 
 Nothing is recorded, learnt or searched for: what is asked of them is to be there and to be read.
 """
@@ -16,10 +16,9 @@ import pytest
 import yaml
 
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.gaits.force_map import MapConfig, save_map
+from softfin.core.quantities import PAPER_LIMITS
 from softfin.learning.configuration import SINGLE
-from softfin.learning.controllers import save_controller
+from softfin.learning.controllers import save_policies
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
@@ -30,7 +29,7 @@ from tests.data import bags
 from tests.data.faulty import to_columns
 from tests.data.recorded import record
 from tests.documents import ROOT
-from tests.gaits.test_map_store import KNOWN
+from tests.gaits.known import save_known
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small as streaming
 
@@ -73,15 +72,8 @@ SIZE = {
     "task": {"episode_actions": 9},
 }
 SURVEY = {"batch": 704, "directions": 8, "pushes": 0}
-LEARNING = {
-    "warm_start": False,
-    "num_envs": 2,
-    "num_steps": 3,
-    "learning_rate": 1e-3,
-    "map": {"survey": SURVEY},
-}
-GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
-"""One learning rate for both kinds of controller, so that one program learns both."""
+PPO = {"num_envs": 2, "num_steps": 3, "num_epochs": 1, "num_minibatches": 1}
+TRAIN = {**SIZE, "steps": 6, "ppo": PPO}
 MAP = {
     "survey": SURVEY,
     "gaits": {"steps": 6},
@@ -102,7 +94,7 @@ CONFIGURATIONS = MappingProxyType(
         "streaming.yaml": STREAMING,
         "paper.yaml": FIT,
         "map.yaml": MAP,
-        "train.yaml": GRADIENT,
+        "train.yaml": TRAIN,
         # The parameters of the document, so that one program calibrates in both.
         "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
         "tank.yaml": COARSE,
@@ -235,17 +227,12 @@ def paper_surrogate(path: Path) -> None:
 def controller(path: Path) -> None:
     """One policy for all references."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_controller(path, untrained(SINGLE), 5, {"seed": 5})
+    save_policies(path, untrained(SINGLE), {"seed": 5}, {})
 
 
-def force_map(path: Path) -> None:
-    """Of the surrogate that lies beside it."""
-    beside = path.with_name("surrogate")
-    if not beside.exists():
-        surrogate(beside)
-    plant = find_plant(str(beside))
-    origin = {"plant": "surrogate", "plant_identity": identity(plant)}
-    save_map(path, KNOWN, MapConfig(), Limits(*map(float, plant.limits)), origin)
+def gaits(path: Path) -> None:
+    """A table of gaits."""
+    save_known(path)
 
 
 MAKERS = MappingProxyType(
@@ -271,8 +258,8 @@ MAKERS = MappingProxyType(
         "published": paper_surrogate,
         "controller": controller,
         "single": controller,
-        "run/single/seed-0": controller,
-        "map": force_map,
+        "run/single": controller,
+        "gaits": gaits,
     }
 )
 """By the names that the documents give."""

@@ -1,6 +1,6 @@
 """Another clock than the paper's goes through the whole pipeline: map, training, evaluation."""
 
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -14,27 +14,34 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig, score_controller
-from softfin.gaits.gait import FinForces, GaitTable
-from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.simulate import gait_families
-from softfin.learning.configuration import check, fit_to_reach, for_clock
-from softfin.stages.controllers import train
+from softfin.learning.configuration import GRID, SINGLE, for_clock
+from softfin.stages.controllers import map_forces, train
 from tests.plants import StrokeFin
-from tests.stages.test_training import PPO, QUICK
+from tests.stages.test_training import MAP, PPO
 
 CLOCKS = (ActionClock.at(6), ActionClock.at(10, 1), ActionClock.at(2.5, 1.2))
 
 
+def _mapped(clock: ActionClock, out: Path) -> Path:
+    map_forces(StrokeFin(), out, MAP.model_copy(update={"clock": clock}))
+    return out
+
+
 def _trained(clock: ActionClock, out: Path) -> Path:
-    train(StrokeFin(), out, partial(fit_to_reach, for_clock(QUICK, clock)))
+    train(StrokeFin(), out, for_clock(PPO, clock))
     return out
 
 
 @pytest.mark.parametrize("clock", CLOCKS, ids=str)
-def test_a_controller_of_another_clock(clock: ActionClock, tmp_path: Path) -> None:
-    controller = load_controller(_trained(clock, tmp_path / "out"))
+@pytest.mark.parametrize("make", [_mapped, _trained])
+def test_a_controller_of_another_clock(
+    make: Callable[[ActionClock, Path], Path], clock: ActionClock, tmp_path: Path
+) -> None:
+    controller = load_controller(make(clock, tmp_path / "out"))
     assert controller.clock == clock
-    assert controller.step.gaits.gait_actions == clock.window_actions
+    if make is _mapped:
+        assert controller.step.table.gait_actions == clock.window_actions
     observed = DisturbanceObserver(controller)
     assert observed.clock == clock
     config = EvaluateConfig(seconds=4, seeds=1, references=((1, 0),))
@@ -57,21 +64,10 @@ def test_a_controller_of_another_clock(clock: ActionClock, tmp_path: Path) -> No
 
 
 def test_an_experiment_shorter_than_the_window_is_refused(tmp_path: Path) -> None:
-    controller = load_controller(_trained(ActionClock.at(2, 6), tmp_path / "out"))
+    controller = load_controller(_mapped(ActionClock.at(2, 6), tmp_path / "out"))
     config = EvaluateConfig(seconds=6, seeds=1, references=((1, 0),))
     with pytest.raises(ConfigurationError, match=r"seconds = 6: too short .*; use at least 7"):
         score_controller(controller, StrokeFin(), config)
-
-
-def test_a_map_of_another_clock_is_refused_by_every_algorithm() -> None:
-    clock = ActionClock.at(6, 1)
-    table = GaitTable.over(Cell(low=(0, -1), high=(2, 1)), 1.0, 6)
-    reachable = Reachable(np.zeros(2, np.float32), np.ones(8, np.float32))
-    forces = FinForces(reachable, table, ActionClock())
-    for preset in (QUICK, PPO):
-        config = for_clock(preset, clock)
-        with pytest.raises(ConfigurationError, match=r"its clock .* differs from that of the"):
-            check(StrokeFin(), config, (0,), forces)
 
 
 def test_windows_of_an_odd_number_of_actions_are_surveyed_with_strokes() -> None:
@@ -83,7 +79,7 @@ def test_windows_of_an_odd_number_of_actions_are_surveyed_with_strokes() -> None
 
 def test_durations_of_a_preset_do_not_depend_on_the_clock() -> None:
     clock = ActionClock.at(6)
-    for preset in (QUICK, PPO):
+    for preset in (SINGLE, GRID):
         config = for_clock(preset, clock)
         assert config.task.reference_actions == 2 * preset.task.reference_actions
         assert config.num_updates == preset.num_updates
@@ -94,5 +90,3 @@ def test_the_clock_of_a_controllers_file_is_that_of_its_policies() -> None:
     task = PolicyObservation().model_dump()
     description = {"task": task, "clock": clock.model_dump(mode="json")}
     assert PolicyObservation.from_description(description).clock == clock
-    # Before 0.1, files had the paper's clock and did not say so.
-    assert PolicyObservation.from_description({"task": task}).clock == ActionClock()

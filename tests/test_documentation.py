@@ -59,7 +59,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "fit": (StreamingConfig(), FitConfig()),
     "calibrate": tuple(CALIBRATIONS.values()),
     "map": (MapConfig(),),
-    "train": (*TRAIN_PRESETS.values(), MapConfig()),
+    "train": tuple(TRAIN_PRESETS.values()),
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
@@ -316,7 +316,7 @@ def stop_at_work(monkeypatch):
         raise Parsed
 
     monkeypatch.setattr("softfin.stages.collect.collect", work)
-    monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
+    monkeypatch.setattr("softfin.stages.controllers.map_forces", work)
     monkeypatch.setattr("softfin.storage.registry.find_plant", work)
     monkeypatch.setattr("softfin.control.store.load_controller", work)
     monkeypatch.setattr(Path, "read_bytes", work)

@@ -40,8 +40,6 @@ TINY = {
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
     "map": "--config map.yaml",
     "train": "--config train.yaml",
-    "train --seeds": "--seeds 2",
-    "train --algorithm ppo": "--set steps=480 --set num_evaluations=1",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
@@ -71,7 +69,7 @@ IN_THE_DAY = (
     "collect --plant rig --out dataset --arm",
     "evaluate controller --plant rig --trim --out evaluation --arm",
     "run controller --reference=2,0 --arm",
-    "train surrogate --controller gaits --out gaits",
+    "map surrogate --out controller",
 )
 """Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
 
@@ -87,12 +85,9 @@ ELSEWHERE = {
     "rig commission --arm": "tests/rig/test_commissioning.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
-    "train examples/fins/turning.yaml --controller gaits --out gaits": "tests/end_to_end/test_stages.py",
+    "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",
     "robot evaluate ucat gaits --plant examples/fins/turning.yaml --max-thrust 3 --out robot": "tests/cli/test_robot.py",
     "robot ros2 ucat --max-thrust 3": "tests/cli/test_robot.py",
-    "train surrogate --controller grid --engine ray --out grid": "tests/learning/ray_cluster.py",
-    "train surrogate --controller grid --engine ray --cluster head:6379 --out grid": "tests/learning/ray_cluster.py",
-    "reproduce --preset best --plant tank --out run": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
 }

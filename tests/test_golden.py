@@ -18,7 +18,6 @@ import softfin
 from softfin import cli
 from softfin.control.controller import Measured
 from softfin.core.quantities import Command
-from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.recovery import scan
@@ -127,10 +126,11 @@ def test_controller(name: str) -> None:
     np.testing.assert_allclose(numpy_commands(GOLDEN / name), ARRAYS[name], **EXACT)
 
 
-def test_map() -> None:
-    force_map, limits, *_ = load_map(GOLDEN / "map")
-    np.testing.assert_allclose(force_map.reachable.radius, EXPECTED["radius_n"], **EXACT)
-    np.testing.assert_allclose(limits, EXPECTED["limits"], **EXACT)
+def test_reachable_forces() -> None:
+    gaits = softfin.load_controller(GOLDEN / "gaits")
+    assert gaits.reachable is not None
+    np.testing.assert_allclose(gaits.reachable.radius, EXPECTED["radius_n"], **EXACT)
+    np.testing.assert_allclose(gaits.limits, EXPECTED["limits"], **EXACT)
 
 
 def test_evaluation(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, drop_padding, hold, hold_action, masked_mean, roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading
 from softfin.evaluation import experiment
-from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import collect_rollout, evaluate_policy, start_episodes
@@ -40,10 +39,7 @@ class MarkedFin(AnalyticFin):
 TASK = ForceTracking(MarkedFin(), TaskConfig())
 POLICY = Policy.create(KEY, SIZE, TASK.config.observations)
 ENVIRONMENTS = start_episodes(TASK, POLICY, References.of(PAPER_RANGE), KEY, 2)
-LEARNERS = {
-    "ppo": PPO(TASK, PPOConfig(num_envs=2, num_steps=6, num_minibatches=1, num_epochs=1), SIZE, 2),
-    "gradient": Gradient(TASK, GradientConfig(num_envs=2, num_steps=6, warm_start=False), SIZE, 2),
-}
+LEARNER = PPO(TASK, PPOConfig(num_envs=2, num_steps=6, num_minibatches=1, num_epochs=1), SIZE, 2)
 ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
 
 
@@ -59,21 +55,18 @@ def evaluated(references: Any) -> Any:
         lambda: hold(MarkedFin(), MarkedFin().init(KEY), ACTIONS),
         lambda: collect_rollout(TASK, POLICY, ENVIRONMENTS, KEY, 2),
         lambda: evaluate_policy(TASK, POLICY, jnp.ones((2, 2)), KEY),
-        lambda: LEARNERS["gradient"].loss(POLICY, ENVIRONMENTS),
         lambda: evaluated(jnp.ones((2, 9, 2))),
     ],
-    ids=["hold", "rollout", "evaluation of a policy", "gradient", "evaluation"],
+    ids=["hold", "rollout", "evaluation of a policy", "evaluation"],
 )
 def test_a_program_holds_the_plant_once(program: Any) -> None:
     assert str(jax.make_jaxpr(program)()).count(MARK) == 1
 
 
-@pytest.mark.parametrize("name", LEARNERS)
-def test_an_update_takes_what_it_gives(name: str) -> None:
+def test_an_update_takes_what_it_gives() -> None:
     """Shapes, types and how firm these are: else it would be compiled again for its own results."""
-    learner = LEARNERS[name]
-    first = jax.eval_shape(learner.init, KEY, References.of(PAPER_RANGE))
-    assert jax.eval_shape(learner.update, first)[0] == first
+    first = jax.eval_shape(LEARNER.init, KEY, References.of(PAPER_RANGE))
+    assert jax.eval_shape(LEARNER.update, first)[0] == first
 
 
 def test_the_tank_takes_the_state_that_it_gives() -> None:

@@ -49,7 +49,7 @@ def test_a_figure_that_is_not_there_is_named():
 
 
 def test_the_line_below_a_table_names_files_seeds_and_dates():
-    line = documents.block("| {demo.single.error} |\n").splitlines()[-1]
+    line = documents.block("| {demo.gaits.error} |\n").splitlines()[-1]
     assert line == f"*Sources: `demo.json` (5 seeds, {record.load('demo')['date']}).*"
 
 
@@ -164,7 +164,6 @@ def test_every_benchmark_is_a_part():
         "measure",
         "nets",
         "recurrent",
-        "workers",
     }
 
 

@@ -129,17 +129,8 @@ def perturbed_tank_logs(seed: int) -> Step:
 
 
 TINY_NETS = "--set members=2 --set drive_updates=2 --set force_updates=2 --set batch=8"
-TINY_POLICY = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8"
-
-
-TINY = {
-    "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 "
-    "--set spacing_n=1",
-    "ppo": f"{TINY_POLICY} --set steps=960",
-    "gradient": f"{TINY_POLICY} --set steps=240 --set gradient.num_envs=4 --set "
-    "gradient.warm_start=false",
-}
-"""Options of `softfin train` at the tiny scale, by what it trains."""
+TINY_MAP = "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 --set spacing_n=1"
+TINY_TRAINING = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8 --steps 960"
 
 
 def streaming(seed: int) -> Step:
@@ -155,27 +146,47 @@ def paper(seed: int) -> Step:
     return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --set batch=64")
 
 
-CONTROLLERS = {
-    "gaits": ("--controller gaits --range paper", 0.8),
-    "single": ("--controller single --algorithm gradient --range paper", 1.5),
-    "grid": ("--controller grid --algorithm gradient --range paper", 1.5),
-    "single-ppo": ("--controller single --algorithm ppo --range paper", 0.7),
-    "grid-ppo": ("--controller grid --algorithm ppo --range paper", 1),
-    "single-hindsight": ("--controller single --algorithm ppo-hindsight --range paper", 0.7),
-    "grid-hindsight": ("--controller grid --algorithm ppo-hindsight --range paper", 1),
+PAPER_BOX = "--set 'box={low: [0.5, -1.5], high: [3.5, 1.5]}' --set spacing_n=0.55"
+"""Gaits over the paper's range of references only."""
+
+POLICIES = {
+    "single": ("--controller single", 1.5),
+    "grid": ("--controller grid", 2),
+    "single-ppo": (
+        "--controller single --range paper --steps 30000 --set ppo.num_envs=32 "
+        "--set ppo.num_epochs=8",
+        0.7,
+    ),
+    "grid-ppo": (
+        "--controller grid --range paper --steps 10000 --set ppo.num_envs=16 "
+        "--set ppo.num_epochs=10",
+        1,
+    ),
 }
-"""Ways to a controller: options of `softfin train`, and minutes."""
+"""Policies with the default budget, and with the paper's: options of `softfin train`, and
+minutes."""
 
 
-def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: float) -> Step:
-    """Training of one controller."""
-    # Gaits are searched without any randomness of their own.
+def find_gaits(surrogate: str, seed: int | None, options: str = PAPER_BOX) -> Step:
+    """Search for gaits, which has no randomness of its own."""
+    return step(f"gaits-{surrogate}", f"softfin map {surrogate} {options}", 0.8, seed, TINY_MAP)
+
+
+def train(kind: str, options: str, surrogate: str, seed: int, minutes: float) -> Step:
+    """Training of policies."""
     name = f"{kind}-{surrogate}"
-    chance = "" if kind == "gaits" else f" --seed {seed}"
-    if kind != "gaits" and not surrogate.endswith(f"-{seed}"):
+    if not surrogate.endswith(f"-{seed}"):
         name += f"-{seed}"
-    tiny = TINY["gaits" if kind == "gaits" else "ppo" if "ppo" in options else "gradient"]
-    return step(name, f"softfin train {surrogate} {options}{chance}", minutes, seed, tiny)
+    command = f"softfin train {surrogate} {options} --seed {seed}"
+    return step(name, command, minutes, seed, TINY_TRAINING)
+
+
+def make_controller(kind: str, surrogate: str, seed: int | None) -> Step:
+    """Gaits, or policies of a kind."""
+    if kind == "gaits" or seed is None:
+        return find_gaits(surrogate, seed)
+    options, minutes = POLICIES[kind]
+    return train(kind, options, surrogate, seed, minutes)
 
 
 def evaluation_seed(seed: int) -> int:

@@ -5,21 +5,21 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from results.parts.common import (
-    CONTROLLERS,
+    PAPER_BOX,
     PUBLISHED,
-    TINY,
+    TINY_MAP,
     Figures,
     Part,
     Work,
     dataset,
     evaluate,
     evaluation_seed,
+    make_controller,
     names_of,
     pair,
     paper,
     step_times,
     streaming,
-    train,
 )
 from results.record import figure
 from results.steps import Step, step
@@ -29,31 +29,27 @@ JUDGED = "--repeats 1 --moving step --random 100"
 
 
 def controllers_published(seeds: Sequence[int]) -> Part:
-    """Gaits and controllers trained by gradients, in the authors' published surrogate."""
+    """Gaits and policies with the default budget, in the authors' published surrogate."""
+    kinds = ("gaits", "single", "grid")
     pictures = {
-        "docs/error_map.png": f"judged-single-published-{seeds[0]}/error_map.png",
-        "docs/experiments.png": f"judged-grid-published-{seeds[0]}/experiments.png",
+        "docs/error_map.png": "judged-gaits-published/error_map.png",
+        "docs/experiments.png": "judged-gaits-published/experiments.png",
     }
-    part = _in_published(
-        "Controllers in the published surrogate", ("gaits", "single", "grid"), seeds
-    )
+    part = _in_published("Controllers in the published surrogate", kinds, seeds)
     return part._replace(pictures=pictures)
 
 
 def ppo_published(seeds: Sequence[int]) -> Part:
-    """LSTM-PPO of the paper's budgets, plain and with hindsight relabelling, in the authors'
-    published surrogate."""
-    kinds = ("single-ppo", "grid-ppo", "single-hindsight", "grid-hindsight")
-    return _in_published("LSTM-PPO in the published surrogate", kinds, seeds)
+    """LSTM-PPO with the paper's budgets, in the authors' published surrogate."""
+    return _in_published("LSTM-PPO in the published surrogate", ("single-ppo", "grid-ppo"), seeds)
 
 
 def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Part:
     trained = dict[str, list[Step]]()
     judged = dict[str, list[Step]]()
     for kind in kinds:
-        options, minutes = CONTROLLERS[kind]
         own = (None,) if kind == "gaits" else seeds
-        trained[kind] = [train(kind, options, "published", seed, minutes) for seed in own]
+        trained[kind] = [make_controller(kind, "published", seed) for seed in own]
         judged[kind] = [
             evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5)
             for each in trained[kind]
@@ -148,8 +144,7 @@ def _in_tank(
     for seed in seeds:
         steps += [dataset(seed), fit(seed)]
         for kind in kinds:
-            options, minutes = CONTROLLERS[kind]
-            trained = train(kind, options, f"{model}-{seed}", seed, minutes)
+            trained = make_controller(kind, f"{model}-{seed}", seed)
             plants = {"within": f"{model}-{seed}"}
             judged = [
                 evaluate(trained, plants.get(name, "tank"), name, way, 0.5)
@@ -239,88 +234,62 @@ def recurrent(seeds: Sequence[int]) -> Part:
 
 
 def choices(seeds: Sequence[int]) -> Part:
-    """What single choices of training are worth, in the published surrogate."""
-    variants = {
-        "untrained": ("single", "--set steps=576 --set num_evaluations=1"),
-        "no-gaits": ("single", "--set gradient.warm_start=false"),
-    }
-    trained = dict[str, list[Step]]()
-    judged = dict[str, list[Step]]()
-    for name, (kind, options) in variants.items():
-        trained[name] = [
-            train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds
-        ]
-    options = "softfin train published --controller gaits --range paper --set gaits.halvings=0"
-    trained["coarse-gaits"] = [step("coarse-gaits-published", options, 1, tiny=TINY["gaits"])]
-    for name, those in trained.items():
-        judged[name] = [evaluate(each, "published", "judged", JUDGED, 0.5) for each in those]
+    """Lattices of gaits, in the published surrogate."""
+    coarse = step(
+        "coarse-gaits-published",
+        f"softfin map published {PAPER_BOX} --set gaits.halvings=0",
+        1,
+        tiny=TINY_MAP,
+    )
+    judged = evaluate(coarse, "published", "judged", JUDGED, 0.5)
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for name, those in judged.items():
-            rows = work.evaluations(names_of(those))
-            own = [each.seed or 0 for each in those]
-            figures[f"{name}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
-            for score in ("mean", "worst"):
-                drawn = [pair(row["random"], f"{score}_n") for row in rows]
-                figures[f"{name}.random_{score}"] = figure("N", drawn, own, score)
-            step_times(figures, name, rows, own)
+        (row,) = work.evaluations([judged.name])
+        figures["coarse-gaits.error"] = figure("N", [pair(row["mean"])], (0,))
+        for score in ("mean", "worst"):
+            drawn = [pair(row["random"], f"{score}_n")]
+            figures[f"coarse-gaits.random_{score}"] = figure("N", drawn, (0,), score)
+        step_times(figures, "coarse-gaits", [row], (0,))
         return figures
 
-    steps = (PUBLISHED, *(each for name in trained for each in (*trained[name], *judged[name])))
-    return Part("Choices of training", steps, read)
+    return Part("Lattices of gaits", (PUBLISHED, coarse, judged), read)
 
 
 def whole_map(seeds: Sequence[int]) -> Part:
-    """Gaits and policies for all that the fin can do, at random references."""
-    mapped = step("map", "softfin map published", 3, tiny=TINY["gaits"])
-    gaits = step("map-gaits", "softfin train published --controller gaits --map map", 0.5)
-    options = "--controller single --map map --range map"
-    trained = {
-        "gaits": [gaits],
-        "single": [train("map-single", options, "published", seed, 2) for seed in seeds],
-    }
-    judged = {
-        kind: [
-            evaluate(each, "published", "judged", "--repeats 1 --random 100", 1) for each in those
-        ]
-        for kind, those in trained.items()
-    }
+    """Gaits for all that the fin can do, at random references."""
+    gaits = step("map-gaits", "softfin map published", 3, tiny=TINY_MAP)
+    judged = evaluate(gaits, "published", "judged", "--repeats 1 --random 100", 1)
 
     def read(work: Work) -> Figures:
-        figures = {"map_s": work.spent([["map"]], (0,))}
-        for kind, those in judged.items():
-            rows = work.evaluations(names_of(those))
-            own = [each.seed or 0 for each in those]
-            for score in ("mean", "worst"):
-                drawn = [pair(row["random"], f"{score}_n") for row in rows]
-                figures[f"{kind}.random_{score}"] = figure("N", drawn, own, score)
+        figures = {"map_s": work.spent([[gaits.name]], (0,))}
+        (row,) = work.evaluations([judged.name])
+        for score in ("mean", "worst"):
+            drawn = [pair(row["random"], f"{score}_n")]
+            figures[f"gaits.random_{score}"] = figure("N", drawn, (0,), score)
         return figures
 
-    steps = (
-        PUBLISHED,
-        mapped,
-        *(each for kind in trained for each in (*trained[kind], *judged[kind])),
+    return Part(
+        "Gaits over the whole reach of the published surrogate", (PUBLISHED, gaits, judged), read
     )
-    return Part("Over the whole map of the published surrogate", steps, read)
 
 
 CLOCKS = ("3,2", "4,1.5", "6,1", "8,0.75", "10,0.6", "6,2")
 """Action rates [Hz] and windows [s] that are compared: windows of six actions, and of 2 s."""
 REPEATED_CLOCKS = ("3,2", "6,1", "10,0.6")
-"""Clocks that are trained with every seed."""
+"""Clocks that are compared with every seed."""
 
 
 def faster(seeds: Sequence[int]) -> Part:
-    """Settling time against ripple, with other action rates and windows."""
+    """Settling time of gaits against ripple, with other action rates and windows."""
     trained = {
         clock: [
-            train(
-                f"clock-{clock.replace(',', '-')}",
-                f"--controller single --clock {clock}",
-                f"streaming-{seed}",
-                seed,
+            step(
+                f"clock-{clock.replace(',', '-')}-streaming-{seed}",
+                f"softfin map streaming-{seed} --clock {clock}",
                 2,
+                seed,
+                TINY_MAP,
             )
             for seed in (seeds if clock in REPEATED_CLOCKS else seeds[:1])
         ]

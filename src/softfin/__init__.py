@@ -6,8 +6,8 @@ The stages of the pipeline, the records that they exchange, and the plants and c
 
     softfin.collect("tank", Path("dataset"))
     softfin.fit(Path("dataset"), Path("surrogate"))
-    softfin.train("surrogate", Path("controller"))
-    softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
+    softfin.map_forces("surrogate", Path("gaits"))
+    softfin.evaluate(Path("gaits"), "tank", Path("evaluation"))
 
 ``__init__.pyi`` lists the public names. Each is imported on first use, so that importing softfin is
 fast. In Gymnasium, the environment is ``softfin.gym:softfin/ForceTracking-v0``, or just

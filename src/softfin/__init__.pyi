@@ -12,7 +12,6 @@ from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
 from .stages.collect import collect as collect
-from .stages.controllers import find_gaits as find_gaits
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
 from .stages.evaluation import evaluate as evaluate
@@ -20,6 +19,7 @@ from .stages.example import write_example as write_example
 from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
+from .stages.ray_training import train_on_ray as train_on_ray
 from .stages.reproduce import reproduce as reproduce
 from .stages.reproduce_config import PRESETS as PRESETS
 from .stages.reproduce_config import ReproduceConfig as ReproduceConfig

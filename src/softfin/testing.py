@@ -184,7 +184,7 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
-    # Training by gradients needs this derivative; it is NaN if a plant takes the square root of 0,
+    # The search for gaits needs this derivative; it is NaN if a plant takes the square root of 0,
     # for example.
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):

@@ -29,7 +29,9 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
     assert summary["area_n2"] > 2
     assert (tmp_path / "x" / "map.png").is_file()
     assert (
-        json.loads((tmp_path / "x" / "map.json").read_text())["configuration"]["gaits"]["steps"]
+        json.loads((tmp_path / "x" / "controller.json").read_text())["configuration"]["gaits"][
+            "steps"
+        ]
         == 6
     )
 

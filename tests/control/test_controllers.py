@@ -19,41 +19,50 @@ from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ArtifactError, CoverageError
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS, action_to_command
-from softfin.gaits.reachable import PAPER_REFERENCES, Cell
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.controllers import save_controller
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
+from softfin.learning.configuration import (
+    GRID,
+    SINGLE,
+    TrainConfig,
+    evaluation_references,
+    training_cells,
+)
+from softfin.learning.controllers import save_policies
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import TrainingResult
+from softfin.learning.train import TrainedPolicies
+from softfin.storage.run_directory import read_training_log
 from softfin.task.references import References
 from softfin.task.task import ForceTracking
 from tests.plants import AnalyticFin
 
 SIZE = PolicyConfig(units=8, width=8)
-SEEDS = (3, 5)
+WIDE = Reachable(np.array([2, 0], np.float32), np.full(32, 4, np.float32))
+"""A fin that can produce all of the paper's references."""
+LOG = [
+    {"step": 480, "reward": -2.0},
+    {"step": 960, "reward": -1.0, "score_x_n": 0.2, "score_y_n": 0.3},
+]
 
 
-def untrained(config: TrainConfig) -> TrainingResult:
+def untrained(config: TrainConfig) -> TrainedPolicies:
     """As if trained: loud random policies."""
-    config = config.model_copy(update={"policy": SIZE})
-    cells = len(config.cells)
-    points = config.lattice**2
-    keys = jax.random.split(jax.random.key(0), (len(SEEDS), cells))
-    policies = jax.jit(jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11))))(keys)
+    config = config.model_copy(update={"policy": SIZE, "range": "paper"})
+    cells = training_cells(config, WIDE)
+    keys = jax.random.split(jax.random.key(0), len(cells))
+    policies = jax.jit(jax.vmap(lambda key: Policy.create(key, SIZE, 11)))(keys)
     loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
-    shape = (len(SEEDS), cells, points, 2)
-    return TrainingResult(
-        config,
-        PAPER_LIMITS,
-        SEEDS,
-        loud,
-        PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5)),
+    shape = (len(cells), config.lattice**2, 2)
+    evaluation = PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
+    references = evaluation_references(config, cells, WIDE)
+    return TrainedPolicies(
+        config, config.task, cells, WIDE, PAPER_LIMITS, loud, references, evaluation, LOG
     )
 
 
-def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
+def controller_of(trained: TrainedPolicies) -> LoadedController:
     with tempfile.TemporaryDirectory() as folder:
-        save_controller(Path(folder) / "controller", trained, seed, {})
+        save_policies(Path(folder) / "controller", trained, {}, {})
         return load_controller(Path(folder) / "controller")
 
 
@@ -62,7 +71,7 @@ SINGLE_RUN = untrained(SINGLE)
 
 
 @pytest.fixture(params=[SINGLE_RUN, GRID_RUN], ids=["single", "grid"])
-def run(request: pytest.FixtureRequest) -> TrainingResult:
+def run(request: pytest.FixtureRequest) -> TrainedPolicies:
     return request.param
 
 
@@ -77,17 +86,17 @@ def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray
     )
 
 
-def test_controllers_meet_the_contract(run: TrainingResult) -> None:
-    assert isinstance(controller_of(run, 3), Controller)
+def test_controllers_meet_the_contract(run: TrainedPolicies) -> None:
+    assert isinstance(controller_of(run), Controller)
 
 
 def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
     task = ForceTracking(AnalyticFin(), GRID.task)
-    controller = controller_of(GRID_RUN, 5)
+    controller = controller_of(GRID_RUN)
     act = jax.jit(lambda *now: controller.act(*now))
     step = jax.jit(task.step)
     for index, reference in enumerate(PAPER_REFERENCES[:3]):
-        policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
+        policy = jax.tree.map(lambda leaf, i=index: leaf[i], GRID_RUN.policies)
         at = References.of(Cell(low=reference, high=reference))
         fin = task.reset(jax.random.key(0), at)
         state = controller.init()
@@ -102,24 +111,21 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
 
 
 def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
-    step = controller_of(GRID_RUN, 3).step
+    step = controller_of(GRID_RUN).step
     assert isinstance(step, GridStep)
-    first = [
-        int(step.active_cell(NUMPY, step.init(), np.asarray(r, np.float32)))
-        for r in PAPER_REFERENCES
-    ]
+    first = [int(step.nearest_cell(NUMPY, np.asarray(r, np.float32))) for r in PAPER_REFERENCES]
     assert first == [0, 1, 2, 3, 4, 5]
-    assert int(step.active_cell(NUMPY, step.init(), np.array([9.0, 0.0]))) == 3
+    assert int(step.nearest_cell(NUMPY, np.array([9.0, 0.0]))) == 3
 
 
 def test_without_a_switch_the_memory_goes_on() -> None:
-    controller = controller_of(GRID_RUN, 3)
+    controller = controller_of(GRID_RUN)
     reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))
-    cell = jax.tree.map(lambda leaf: leaf[:, 2:3], GRID_RUN.policies)
-    config = GRID_RUN.config.model_copy(
-        update={"controller": "single", "cells": GRID_RUN.config.cells[2:3]}
+    cell = jax.tree.map(lambda leaf: leaf[2:3], GRID_RUN.policies)
+    config = GRID_RUN.config.model_copy(update={"controller": "single"})
+    alone = controller_of(
+        GRID_RUN._replace(config=config, cells=GRID_RUN.cells[2:3], policies=cell)
     )
-    alone = controller_of(GRID_RUN._replace(config=config, policies=cell), 3)
     angles = jnp.linspace(-0.5, 0.5, 6)
     np.testing.assert_allclose(
         commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5
@@ -131,44 +137,45 @@ def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
         CoverageError,
         match=r"\(3, 2\) N: 0.71 N outside the nearest of 6 cells \(x 1.5 .. 2.5, y 0.5",
     ):
-        controller_of(GRID_RUN, 3).check((3.0, 2.0))
+        controller_of(GRID_RUN).check((3.0, 2.0))
     with pytest.raises(
         CoverageError,
         match=r"\(5, 0\) N: 1.5 N outside the range that .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)",
     ):
-        controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
+        controller_of(SINGLE_RUN).check((5.0, 0.0))
 
 
-def test_every_reference_of_the_paper_is_covered(run: TrainingResult) -> None:
+def test_every_reference_of_the_paper_is_covered(run: TrainedPolicies) -> None:
     for x, y in PAPER_REFERENCES:
-        controller_of(run, 3).check((float(x), float(y)))
+        controller_of(run).check((float(x), float(y)))
 
 
-def test_a_controller_comes_back_from_its_folder(run: TrainingResult, tmp_path: Path) -> None:
-    save_controller(tmp_path / "c", run, 5, {"seed": 5})
+def test_a_controller_comes_back_from_its_folder(run: TrainedPolicies, tmp_path: Path) -> None:
+    save_policies(tmp_path / "c", run, {"seed": 5}, {})
     again = load_controller(tmp_path / "c")
     references = jnp.asarray([[1, -1], [2, 0], [2, 0], [2, 1]], jnp.float32)
     angles = jnp.linspace(-1, 1, 4)
-    expected = commands(controller_of(run, 5), references, angles)
+    expected = commands(controller_of(run), references, angles)
     np.testing.assert_array_equal(commands(again, references, angles), expected)
     assert again.limits == PAPER_LIMITS
     with pytest.raises(CoverageError):
         again.check((9.0, 9.0))
 
 
-def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> None:
-    save_controller(tmp_path / "c", run, 5, {"seed": 5}, _note)
+def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> None:
+    save_policies(tmp_path / "c", run, {"seed": 5}, {})
     description = json.loads((tmp_path / "c" / "controller.json").read_text())
     assert description["kind"] == "controller"
     assert description["controller"] == run.config.controller
     assert description["provenance"] == {"seed": 5}
-    assert (tmp_path / "c" / "note.txt").read_text() == "hello"
-    assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
+    assert len(description["scores"]) == len(run.cells) * run.config.lattice**2
     assert description["scores"][0]["error_n"] == [0.25, 0.25]
     assert description["scores"][0]["tracked_reference_n"] == pytest.approx(
         description["scores"][0]["reference_n"]
     )
     assert description["configuration"]["steps"] == run.config.steps
+    assert read_training_log(tmp_path / "c" / "training" / "log.jsonl") == LOG
+    assert (tmp_path / "c" / "training" / "learning.svg").is_file()
 
 
 @pytest.mark.parametrize(
@@ -197,30 +204,22 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
         (
             lambda f: _drop(f, "format"),
-            "format is 1, written by an older softfin; this softfin reads 2; train it again",
+            "format is 1, written by an older softfin; this softfin reads 3; map or train again",
         ),
-        (
-            lambda f: _drop(f, "action_rate_hz"),
-            "action_rate_hz is missing",
-        ),
+        (lambda f: _drop(f, "clock"), "clock is missing"),
         (
             lambda f: _drop(f, "cells"),
-            "controller.json: cells is missing; copy the folder again, or train it again",
+            "controller.json: cells is missing; copy the folder again, or map or train again",
         ),
-        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0, but the clock's is 3"),
     ],
 )
 def test_a_damaged_folder_is_refused(
     harm: Callable[[Path], Any], message: str, tmp_path: Path
 ) -> None:
-    save_controller(tmp_path / "c", SINGLE_RUN, 3, {})
+    save_policies(tmp_path / "c", SINGLE_RUN, {}, {})
     harm(tmp_path / "c")
     with pytest.raises(ArtifactError, match=message):
         load_controller(tmp_path / "c")
-
-
-def _note(folder: Path) -> None:
-    (folder / "note.txt").write_text("hello")
 
 
 def _edit(folder: Path, **changes: Any) -> None:

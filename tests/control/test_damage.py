@@ -96,13 +96,8 @@ def weigh(folder: Path, **changes: Any) -> None:
         ),
         (
             "single",
-            lambda f: edit(f, format=3),
-            "format is 3, written by a newer softfin; this softfin reads 2",
-        ),
-        (
-            "single",
-            lambda f: edit(f, action_rate_hz=5.0),
-            "action_rate_hz is 5.0, but the clock's is 3",
+            lambda f: edit(f, format=4),
+            "format is 4, written by a newer softfin; this softfin reads 3",
         ),
         (
             "single",
@@ -111,7 +106,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         ),
         (
             "single",
-            lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)),
+            lambda f: weigh(f, log_std=np.array([0, np.nan], np.float32)),
             "numbers that are not finite",
         ),
         (
@@ -124,10 +119,21 @@ def weigh(folder: Path, **changes: Any) -> None:
             lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
             "no radius negative",
         ),
+        ("gaits", lambda f: edit(f, reachable=None), "reachable = None: must be an object"),
         (
-            "grid",
-            lambda f: edit(f, switching={"step_n": 0}),
-            "step_n is 0: Input should be greater than 0",
+            "gaits",
+            lambda f: edit(f, lattice={"low_n": [0.5, 0], "high_n": [2.5, -2], "nodes": [3, 4]}),
+            r"lattice from \[0.5, 0.0\] to \[2.5, -2.0\] N: must have two corners",
+        ),
+        (
+            "gaits",
+            lambda f: edit(f, lattice={"low_n": [0, 0], "high_n": [1, 1], "nodes": [1, 12]}),
+            "must have at least two nodes per side",
+        ),
+        (
+            "gaits",
+            lambda f: weigh(f, force_n=np.zeros((3, 4), np.float32)),
+            "do not fit a lattice of .3, 4. nodes",
         ),
         ("grid", lambda f: edit(f, fin=3), "is 3: Input should be a valid string"),
     ],

@@ -1,5 +1,7 @@
 """Gaits as a controller."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,9 +12,10 @@ import pytest
 from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.gait import GaitStep
+from softfin.control.store import load_controller
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import PAPER_LIMITS, action_to_command
-from tests.gaits.test_map_store import KNOWN, TABLE
+from tests.gaits.known import KNOWN, TABLE, save_known
 
 STEP, CELLS = GaitStep.load(KNOWN.to_dict(), KNOWN.arrays(), PAPER_LIMITS, ())
 CONTROLLER = LoadedController(STEP, PAPER_LIMITS, CELLS, KNOWN.reachable)
@@ -69,3 +72,23 @@ def test_a_gait_controller_with_an_observer_acts_within_a_compiled_program() -> 
     eager = observed.act(observed.init(), measured, reference)[1]
     np.testing.assert_allclose(compiled.angle, eager.angle, atol=1e-6)
     np.testing.assert_allclose(compiled.velocity, eager.velocity, atol=1e-6)
+
+
+def test_a_map_comes_back_from_its_folder_as_a_controller(tmp_path: Path) -> None:
+    again = load_controller(save_known(tmp_path / "gaits"))
+    assert isinstance(again.step, GaitStep)
+    jax.tree.map(np.testing.assert_array_equal, again.step.table, TABLE)
+    assert again.reachable is not None
+    np.testing.assert_allclose(again.reachable.corners(), KNOWN.reachable.corners(), atol=1e-4)
+    assert again.limits == PAPER_LIMITS
+
+
+def test_the_folder_says_what_each_gait_makes(tmp_path: Path) -> None:
+    folder = save_known(tmp_path / "gaits", star_shape={"held_outside": 0.0})
+    description = json.loads((folder / "controller.json").read_text())
+    assert description["controller"] == "gaits"
+    assert len(description["scores"]) == 12
+    assert description["scores"][5]["reference_n"] == pytest.approx([1.5, 0.0])
+    assert description["scores"][5]["missed_n"] == pytest.approx(0.01 * 2**0.5, abs=1e-4)
+    assert description["provenance"] == {"plant": "mine"}
+    assert description["star_shape"] == {"held_outside": 0.0}

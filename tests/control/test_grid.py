@@ -1,5 +1,4 @@
-"""Switching between the policies of a grid: when it happens, and that it is not felt where little
-has changed."""
+"""Switching between the policies of a grid: when it happens, and what the new policy remembers."""
 
 import functools
 from typing import Any
@@ -11,31 +10,25 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, LoadedController, Measured
-from softfin.control.grid import GridState, GridStep, SwitchingConfig
+from softfin.control.grid import GridState, GridStep
 from softfin.control.policy import PolicyNetwork
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy, PolicyConfig, name_policy_arrays
-from softfin.task.references import lattice
+from softfin.task.references import divide
 from softfin.task.task import TaskConfig
 
-TASK = TaskConfig(phase=True)
+TASK = TaskConfig()
 SIZE = PolicyConfig(units=8, width=8)
-TWO = lattice(2, 1, Cell(low=(0, -1), high=(2, 1)))
+TWO = divide(Cell(low=(0, -1), high=(2, 1)), 2, 1)
 """The border is at x = 1 N."""
-HAIR = 0.005
-COLD = SwitchingConfig(margin_n=0, fade_actions=0, replay=False)
-AT_ONCE = SwitchingConfig(margin_n=0)
-FADELESS = SwitchingConfig(margin_n=0, fade_actions=0)
-SETTLED = 36
 
 
 @functools.partial(jax.jit, static_argnames="cells")
 def policies(cells: int, apart: float) -> Policy:
-    """Random policies that beat with the clock and forget within a cycle; `apart` is how much
-    neighbours differ."""
+    """Random policies that forget within a cycle; `apart` is how much neighbours differ."""
 
     def random(key: Any) -> Policy:
         policy: Policy = Policy.create(key, SIZE, TASK.observations)
@@ -54,22 +47,17 @@ def policies(cells: int, apart: float) -> Policy:
     return forgetful
 
 
-def grid(
-    switching: SwitchingConfig, apart: float = 0.1, cells: tuple[Cell, ...] = TWO
-) -> LoadedController:
+def grid(apart: float = 0.1, cells: tuple[Cell, ...] = TWO) -> LoadedController:
     arrays = {
         name: np.asarray(leaf)
         for name, leaf in name_policy_arrays(policies(len(cells), apart)).items()
     }
-    return controller_of(arrays, switching, cells)
+    return controller_of(arrays, cells)
 
 
-def controller_of(
-    arrays: Any, switching: SwitchingConfig, cells: tuple[Cell, ...]
-) -> LoadedController:
-    task = TASK.model_dump()
-    switched = switching.model_dump()
-    step, _ = GridStep.load({"task": task, "switching": switched}, arrays, PAPER_LIMITS, cells)
+def controller_of(arrays: Any, cells: tuple[Cell, ...]) -> LoadedController:
+    description = {"task": TASK.model_dump(), "clock": PAPER_CLOCK.model_dump()}
+    step, _ = GridStep.load(description, arrays, PAPER_LIMITS, cells)
     return LoadedController(step, PAPER_LIMITS, cells)
 
 
@@ -100,19 +88,8 @@ def cells_of(states: list[GridState]) -> list[int]:
     return [int(state.active_cell) for state in states]
 
 
-def crossing(switching: SwitchingConfig, apart: float) -> Float[np.ndarray, "actions"]:
-    """How far the commanded angle is from what it is without a switch, from the crossing of the
-    border on [rad]."""
-    stay = [1 - HAIR] * (SETTLED + 12)
-    cross = [1 - HAIR] * SETTLED + [1 + HAIR] * 12
-    (quiet, _) = play(grid(switching, apart), stay)
-    (crossed, states) = play(grid(switching, apart), cross)
-    assert cells_of(states[SETTLED - 1 : SETTLED + 1]) == [0, 1]
-    return np.asarray(np.abs(crossed - quiet)[SETTLED:, 0])
-
-
 def test_the_state_is_arrays_and_numbers_alone() -> None:
-    controller = grid(SwitchingConfig())
+    controller = grid()
     assert isinstance(controller, Controller)
     assert all(
         isinstance(leaf, int | np.ndarray | np.generic)
@@ -120,41 +97,22 @@ def test_the_state_is_arrays_and_numbers_alone() -> None:
     )
 
 
-def test_the_policies_here_beat_with_the_clock() -> None:
-    angle = play(grid(COLD), [1 - HAIR] * (SETTLED + 12))[0][-12:, 0]
-    assert np.ptp(angle) > 0.3
-    np.testing.assert_allclose(angle[:6], angle[6:], atol=0.02)
+def test_the_policy_of_the_references_cell_acts() -> None:
+    assert cells_of(play(grid(), [1.05, 0.95, 0.5, 1.001, 9.0, -9.0])[1]) == [1, 0, 0, 1, 1, 0]
 
 
-def test_crossing_a_border_by_a_hair_is_not_felt_in_the_command_though_the_policies_differ() -> (
-    None
-):
-    assert crossing(COLD, 0.1)[0] > 0.2
-    assert crossing(AT_ONCE, 0.1)[0] < 0.02
+def test_in_a_gap_the_policy_of_the_nearest_cell_acts() -> None:
+    apart = (Cell(low=(0, -1), high=(1, 1)), Cell(low=(2, -1), high=(3, 1)))
+    states = play(grid(cells=apart), [0.5, 1.4, 1.6, 2.5, 1.4])[1]
+    assert cells_of(states) == [0, 0, 1, 1, 0]
 
 
-def test_the_new_policy_comes_in_by_a_sixth_an_action() -> None:
-    faded = crossing(AT_ONCE, 0.1)
-    gap = crossing(FADELESS, 0.1).max()
-    assert gap > 0.1
-    assert (
-        faded[: PAPER_CLOCK.window_actions]
-        < 0.01 + gap * np.arange(PAPER_CLOCK.window_actions) / PAPER_CLOCK.window_actions
-    ).all()
-    assert faded[PAPER_CLOCK.window_actions :].max() > 0.1
-
-
-def test_between_policies_that_are_the_same_a_switch_does_nothing() -> None:
-    assert crossing(COLD, 0.0)[0] > 0.1
-    assert crossing(FADELESS, 0.0).max() < 0.02
-
-
-def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_charge() -> None:
+def test_the_new_policy_remembers_all_as_if_it_had_been_active() -> None:
     near = 1 - 1e-5
     far = 1 + 1e-5
     for before in (1, 3, PAPER_CLOCK.window_actions):
         switched, stayed = (
-            play(grid(FADELESS, 0.0), [near] * before + [last])[1][-1] for last in (far, near)
+            play(grid(0.0), [near] * before + [last])[1][-1] for last in (far, near)
         )
         assert (int(switched.active_cell), int(stayed.active_cell)) == (1, 0)
         np.testing.assert_allclose(switched.cell, stayed.cell, atol=1e-4)
@@ -162,18 +120,18 @@ def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_ch
 
 
 def test_a_switch_at_the_second_action_replays_the_first_one() -> None:
-    reference = np.array([1 + HAIR, 0], np.float32)
-    controller = grid(FADELESS)
-    commands, states = play(controller, [1 - HAIR, 1 + HAIR])
+    reference = np.array([1.01, 0], np.float32)
+    controller = grid()
+    commands, states = play(controller, [0.99, 1.01])
     assert cells_of(states) == [0, 1]
     step = controller.step
     assert isinstance(step, GridStep)
     network = PolicyNetwork(*[part[1] for part in step.networks])
     at_rest = step.observation.observe(
-        NUMPY, np.append(np.float32(0), reference), step.init().actions, 0
+        NUMPY, np.append(np.float32(0), reference), step.init().actions
     )
     moved = step.observation.observe(
-        NUMPY, np.append(commands[0, 0], reference), np.asarray(states[0].actions), 1
+        NUMPY, np.append(commands[0, 0], reference), np.asarray(states[0].actions)
     )
     memory = network.empty()
     for observation in (at_rest, moved):
@@ -182,56 +140,9 @@ def test_a_switch_at_the_second_action_replays_the_first_one() -> None:
     np.testing.assert_allclose(states[1].hidden, memory.hidden, atol=1e-5)
 
 
-def test_the_policy_in_charge_stays_a_little_beyond_its_cell() -> None:
-    wander = [0.95, 1.05, 1.09, 0.99, 1.08]
-    assert cells_of(play(grid(SwitchingConfig()), wander)[1]) == [0] * 5
-    assert cells_of(play(grid(AT_ONCE), wander)[1]) == [0, 1, 1, 0, 1]
-    assert cells_of(play(grid(SwitchingConfig()), [0.95, 1.11, 0.95, 0.91, 0.89])[1]) == [
-        0,
-        1,
-        1,
-        1,
-        0,
-    ]
-
-
-def test_the_first_action_is_that_of_the_references_own_cell() -> None:
-    assert cells_of(play(grid(SwitchingConfig()), [1.05])[1]) == [1]
-
-
-def test_in_a_gap_the_cell_that_is_nearer_by_more_than_the_margin_is_in_charge() -> None:
-    apart = (Cell(low=(0, -1), high=(1, 1)), Cell(low=(2, -1), high=(3, 1)))
-    states = play(grid(SwitchingConfig(), cells=apart), [0.5, 1.5, 1.54, 1.56, 1.5, 9.0])[1]
-    assert cells_of(states) == [0, 0, 0, 1, 1, 1]
-
-
-def test_after_a_step_the_new_policy_is_alone_at_once() -> None:
-    x = [0.5] * SETTLED + [1.5] * 3
-    stepped, states = play(grid(SwitchingConfig()), x)
-    alone = play(grid(SwitchingConfig(fade_actions=0)), x)[0]
-    np.testing.assert_allclose(stepped, alone, atol=1e-5)
-    assert cells_of(states[-3:]) == [1, 1, 1]
-
-
-def test_a_step_ends_a_fade_that_has_begun() -> None:
-    states = play(grid(AT_ONCE), [1 - HAIR] * SETTLED + [1 + HAIR] * 2 + [1.9] * 2)[1]
-    np.testing.assert_allclose(
-        [state.blend for state in states[-4:]], [5 / 6, 4 / 6, 0, 0], atol=0.03
-    )
-
-
-def test_commands_stay_within_the_limits_during_a_fade() -> None:
-    controller = grid(AT_ONCE, 0.5)
-    commands = play(controller, ([1 - HAIR] * 7 + [1 + HAIR] * 7) * 2)[0]
-    low = PAPER_LIMITS[::2]
-    high = PAPER_LIMITS[1::2]
-    assert (commands >= np.asarray(low)).all()
-    assert (commands <= np.asarray(high)).all()
-
-
 def test_many_references_at_once_are_as_each_alone() -> None:
-    controller = grid(AT_ONCE)
-    rows = [[1 - HAIR] * 7 + [1 + HAIR, 1 + HAIR], [0.5] * 9]
+    controller = grid()
+    rows = [[0.99] * 7 + [1.01, 1.01], [0.5] * 9]
     states = jax.tree.map(lambda x: jnp.stack([x, x]), controller.init())
     side_by_side = jax.jit(lambda *now: jax.vmap(lambda *one: controller.act(*one))(*now))
     together = []
@@ -252,14 +163,13 @@ def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
     """Counted in the program; nothing is compiled."""
 
     def operations(columns: int) -> float:
-        cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
-
+        cells = divide(Cell(low=(0, -1), high=(2, 1)), columns, columns)
         shapes = jax.eval_shape(functools.partial(policies, len(cells)), 0.1)
         arrays = {
             name: np.zeros(leaf.shape, np.float32)
             for name, leaf in name_policy_arrays(shapes).items()
         }
-        controller = controller_of(arrays, SwitchingConfig(), cells)
+        controller = controller_of(arrays, cells)
         now = (controller.init(), Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2))
         cost: Any = (
             jax.jit(lambda controller, *now: controller.act(*now))

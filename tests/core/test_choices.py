@@ -25,10 +25,7 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
         (choices.MovingReference, SIGNALS),
         (choices.TimeUnit, UNITS["time"]),
         (choices.ForceUnit, UNITS["force"]),
-        (choices.Algorithm, {config.algorithm for config in TRAIN_PRESETS.values()}),
-        (choices.AlgorithmPreset, {name for name, _ in TRAIN_PRESETS}),
-        (choices.PolicyLayout, {layout for _, layout in TRAIN_PRESETS}),
-        (choices.AlgorithmOption, {"auto", *get_args(choices.AlgorithmPreset)}),
+        (choices.PolicyLayout, TRAIN_PRESETS),
         (choices.ControllerKind, {"gaits", *get_args(choices.PolicyLayout)}),
     ],
 )

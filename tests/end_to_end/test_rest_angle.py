@@ -11,7 +11,7 @@ from softfin.storage.dataset import Dataset
 from softfin.surrogate import load_surrogate
 from softfin.tank import Tank, TankConfig
 from tests.end_to_end.test_stages import run, write
-from tests.staged import COARSE, GRADIENT, MAP, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
+from tests.staged import COARSE, MAP, STREAMING, TRAIN, short_search  # noqa: F401  # pytest finds fixtures here
 
 LOW = 0.2
 HIGH = 1.2
@@ -24,8 +24,8 @@ SIDEWAYS = COARSE | {
 @pytest.mark.usefixtures("short_search")
 def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, tmp_path):
     tank = write(tmp_path / "tank.yaml", SIDEWAYS)
-    dataset, surrogate, force_map, controller = (
-        str(tmp_path / name) for name in ("dataset", "surrogate", "map", "controller")
+    dataset, surrogate, gaits, controller = (
+        str(tmp_path / name) for name in ("dataset", "surrogate", "gaits", "controller")
     )
     logs = ("--logs", "3", "--test-logs", "1", "--rows", "700")
     run(capsys, "collect", "--plant", tank, *logs, "--out", dataset)
@@ -41,9 +41,8 @@ def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, 
     plant = load_surrogate(tmp_path / "surrogate")
     assert LOW - 1e-6 <= plant.limits.rest_angle < LOW + 0.1
     searching = write(tmp_path / "map.yaml", MAP | {"box": None, "spacing_n": None, "nodes": 4})
-    run(capsys, "map", surrogate, "--config", searching, "--out", force_map)
-    training = write(tmp_path / "train.yaml", GRADIENT)
-    # Not with this map: the gaits of so short a search hold only a part of the reach.
+    run(capsys, "map", surrogate, "--config", searching, "--out", gaits)
+    training = write(tmp_path / "train.yaml", TRAIN)
     run(capsys, "train", surrogate, "--config", training, "--out", controller)
     trained = load_controller(tmp_path / "controller")
     assert trained.limits == plant.limits

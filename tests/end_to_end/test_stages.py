@@ -10,7 +10,7 @@ import yaml
 
 from softfin.cli import main
 from softfin.core.errors import LogError
-from softfin.learning.run import TrainingRun
+from softfin.learning.train import train_policies
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import TRAINING_LOG
 from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
@@ -69,7 +69,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     )
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
-    for kind, cells in (("single", ()), ("grid", ("--cells", "1x2"))):
+    for kind in ("single", "grid"):
         controller = str(tmp_path / kind)
         judged = str(tmp_path / f"{kind}-judged")
         config = write(tmp_path / f"{kind}.yaml", TRAIN)
@@ -78,19 +78,15 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
             surrogate,
             "--controller",
             kind,
-            "--range",
-            "paper",
-            *cells,
-            "--algorithm",
-            "ppo",
             "--config",
             config,
             "--out",
             controller,
         )
         trained = run(capsys, *words)
-        assert run(capsys, *words, "--resume") == trained
-        assert {row["cell"] for row in trained["scores"]} == set(range(1 + len(cells) // 2))
+        assert (tmp_path / kind / TRAINING_LOG / "learning.svg").is_file()
+        cells = {row["cell"] for row in trained["scores"]}
+        assert len(cells) == 1 if kind == "single" else len(cells) > 1
         scored = run(
             capsys,
             "evaluate",
@@ -110,20 +106,6 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
         written = json.loads((tmp_path / f"{kind}-judged" / "evaluation.json").read_text())
         assert written["conditions"]["duration_s"] == 3
 
-    with pytest.raises(SystemExit) as stop:
-        main(
-            [
-                "evaluate",
-                str(tmp_path / "grid"),
-                "--plant",
-                PLANT,
-                "--reference=9,0",
-                "--out",
-                str(tmp_path / "far"),
-            ]
-        )
-    assert stop.value.code == 2
-    assert "reference (9, 0) N: 5.5 N outside the nearest of 2 cells" in capsys.readouterr().err
     left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
     assert left_behind == []
 
@@ -143,12 +125,11 @@ def test_streaming_surrogates_are_fitted(capsys, tmp_path):
 
 
 def reproduction(tmp_path):
-    cells = [{"low": [0.5, -1.5], "high": [3.5, 1.5]}]
     config = {
         "collect": COLLECT,
         "fit": FIT,
-        "single": {**TRAIN, "cells": cells},
-        "grid": {**TRAIN, "cells": cells},
+        "single": {**TRAIN, "range": "reach"},
+        "grid": {**TRAIN, "range": "reach"},
         "gaits": {"spacing_n": 1.7, "survey": {"pushes": 0}, "gaits": {"steps": 1}},
         "evaluate": {"seconds": 3, "moving": ["step"], "trim": {}},
         "seeds": 2,
@@ -159,7 +140,7 @@ def reproduction(tmp_path):
 def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results_and_a_report(
     capsys, tmp_path, monkeypatch
 ):
-    """Stopped while the controllers train; the second call neither records nor fits again."""
+    """Stopped while the controllers train; the second call does not repeat what is complete."""
     out = tmp_path / "run"
     words = (
         "reproduce",
@@ -172,19 +153,18 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
         "--out",
         str(out),
     )
-    update = TrainingRun.update
-    updates = []
+    trained = []
 
-    def counted(run, agents, number):
-        updates.append(run.config.controller)
-        return update(run, agents, number)
+    def counted(plant, config, reachable, seed, report):
+        trained.append(f"{config.controller}-{seed}")
+        return train_policies(plant, config, reachable, seed, report)
 
-    def stopped(run, agents, number):
-        if updates:
+    def stopped(*given):
+        if len(trained) == 3:
             signal.raise_signal(signal.SIGINT)
-        return counted(run, agents, number)
+        return counted(*given)
 
-    monkeypatch.setattr(TrainingRun, "update", stopped)
+    monkeypatch.setattr("softfin.stages.controllers.train_policies", stopped)
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
@@ -193,10 +173,9 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 
-    monkeypatch.setattr(TrainingRun, "update", counted)
+    monkeypatch.setattr("softfin.stages.controllers.train_policies", counted)
     results = run(capsys, *words, "--resume")
-    # The update before the stop was not done again.
-    assert updates == ["single"] * 2 + ["grid"] * 2
+    assert trained == ["single-0", "single-1", "grid-0", "grid-1"]
     assert "collect" not in results["wall_s"]
     assert "fit" not in results["wall_s"]
 
@@ -210,13 +189,14 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
             assert len(row[axis]["error_seeds_n"]) == 2
             assert row[axis]["error_interval_n"] is None
     assert all(len(results["trimmed"][kind]["moving"]) == 4 for kind in ("gaits", "single", "grid"))
-    assert [stage["stage"] for stage in results["stages"]][:6] == [
+    assert [stage["stage"] for stage in results["stages"]][:7] == [
         "collect",
         "fit",
         "map",
-        "gaits",
-        "train single",
-        "train grid",
+        "train single-0",
+        "train single-1",
+        "train grid-0",
+        "train grid-1",
     ]
     page = (out / "report.html").read_text()
     assert "<svg" in page
@@ -253,7 +233,7 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
             [
                 "reproduce",
                 "--preset",
-                "best",
+                "demo",
                 "--plant",
                 PLANT,
                 "--config",
@@ -263,4 +243,4 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
             ]
         )
     assert asked["ignore_errors"] is True
-    assert asked["config"] == PRESETS["best"].fit
+    assert asked["config"] == PRESETS["demo"].fit

@@ -224,6 +224,6 @@ def test_where_cells_touch_the_same_policy_acts(controllers):
     singles = [np.array(force, np.float32) for force in forces]
     assert (
         page
-        == [int(step.active_cell(select_operations(low), step.init(), force)) for force in singles]
+        == [int(step.nearest_cell(select_operations(low), force)) for force in singles]
         == [0, 0, 1]
     )

@@ -1,18 +1,15 @@
 """The figure of a map shows the region, the nodes that are held and those that are not."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.figure import map_figure
-from softfin.gaits.force_map import MapConfig, save_map
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import PAPER_REFERENCES, Reachable
 from softfin.storage.figures import save_figure
-from tests.gaits.test_map_store import KNOWN
+from tests.gaits.known import KNOWN, save_known
 
 
 def with_missed(*nodes: tuple[int, int]):
@@ -80,10 +77,9 @@ def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too(tmp_path):
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_maps_folder_holds_both_figures_and_they_do_not_change(tmp_path: Path):
+def test_the_folder_holds_both_figures_and_they_do_not_change(tmp_path: Path):
     for name in ("a", "b"):
-        save_map(tmp_path / name, KNOWN, MapConfig(), PAPER_LIMITS, {})
+        save_known(tmp_path / name)
     files = sorted(file.name for file in (tmp_path / "a").iterdir())
-    assert files == ["map.json", "map.png", "map.svg", "weights.safetensors"]
+    assert files == ["controller.json", "map.png", "map.svg", "weights.safetensors"]
     assert (tmp_path / "a" / "map.svg").read_bytes() == (tmp_path / "b" / "map.svg").read_bytes()
-    assert json.loads((tmp_path / "a" / "map.json").read_text())["kind"] == "map"

@@ -1,6 +1,5 @@
 """The map: what was seen, less what no gait holds."""
 
-import jax
 import numpy as np
 import pytest
 
@@ -9,14 +8,13 @@ from softfin.gaits.force_map import (
     RAY_PARTS,
     MapConfig,
     check_star,
-    empty_map,
     find_force_map,
     held_region,
 )
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig
-from tests.learning.mapped import FIN, WITHIN, mapped, surveyed
+from tests.gaits.mapped import FIN, WITHIN, mapped, surveyed
 from tests.plants import StrokeFin
 
 WIDE = Reachable(np.zeros(2, np.float32), np.full(32, 2, np.float32))
@@ -108,14 +106,6 @@ def test_progress_of_both_parts_rises_to_the_end() -> None:
 def test_a_fin_without_thrust_has_nothing_to_map() -> None:
     with pytest.raises(PlantError, match=r"no gradient with respect to its commands.*softfin fit"):
         find_force_map(StrokeFin(gain=0.0), MapConfig())
-
-
-def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
-    config = WITHIN
-    empty = empty_map(config.empty_table(WIDE), config.survey.directions, config.clock)
-    assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [
-        np.shape(leaf) for leaf in jax.tree.leaves(mapped())
-    ]
 
 
 def cloud(lattice: GaitTable, held: np.ndarray) -> GaitSearchResult:

@@ -32,3 +32,13 @@ def test_what_is_in_both_stays_to_the_last_bit():
 
 def test_where_reach_and_cells_do_not_meet_there_is_none():
     assert np.isnan(CLOVER.nearest_within((Cell(low=(5, 5), high=(6, 6)),), FORCES[:2])).all()
+
+
+def test_corners_without_radius_are_no_obstacle() -> None:
+    """Sides between them have no length, and lie outside the cell."""
+    radius = np.zeros(8, np.float32)
+    radius[[0, 7]] = 2
+    region = Reachable(np.zeros(2, np.float32), radius)
+    cell = Cell(low=(0.5, -0.6), high=(1.5, -0.2))
+    nearest = region.nearest_within([cell], np.array([[3.0, -3.0]]))
+    np.testing.assert_allclose(nearest, [[1.5, -0.6]], atol=1e-6)

@@ -17,8 +17,8 @@ from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import SurveyConfig, gait_families, survey
 from softfin.gaits.simulate import simulate_gait as simulate
+from tests.gaits.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
 from tests.gaits.test_survey import OwnFin
-from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
 KEY = jax.random.key(0)

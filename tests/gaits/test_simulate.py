@@ -14,7 +14,7 @@ from softfin.gaits.simulate import (
     gait_sensitivity,
     strokes,
 )
-from tests.learning.mapped import simulate_gait, steady_state_force
+from tests.gaits.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
 KEY = jax.random.key(0)

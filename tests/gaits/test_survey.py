@@ -17,7 +17,7 @@ from softfin.gaits.simulate import (
     strokes,
     survey,
 )
-from tests.learning.mapped import FIN, SURVEY, simulate_gait, surveyed
+from tests.gaits.mapped import FIN, SURVEY, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
 MOST_N = np.pi

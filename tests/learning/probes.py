@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from softfin.core.action_clock import ActionClock
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
@@ -15,6 +16,14 @@ from softfin.task.task import ForceTracking, RewardConfig, TaskConfig
 GAIN = 3.0
 
 SMOOTH = RewardConfig(smoothness=(0.0, 0.0))
+
+
+class LastAction(ActionClock):
+    """The paper's clock, with a window that lies within the last action."""
+
+    @property
+    def window_ticks(self) -> int:
+        return 32
 
 
 class ProbeState(NamedTuple):
@@ -124,7 +133,7 @@ def learner(
     plant: Any, updates: int, episode: int = 12, past_actions: int = 0, **changes: Any
 ) -> PPO:
     task = TaskConfig(
-        window_samples=32,
+        clock=LastAction(),
         episode_actions=episode,
         reference_actions=episode,
         past_actions=past_actions,

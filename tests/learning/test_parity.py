@@ -79,13 +79,11 @@ def case() -> Case:
         pre_tanh_action=inputs["action"],
         log_prob=before.policy.log_prob(inputs["mean"], inputs["action"]),
         reward=inputs["reward"],
-        reference=jnp.zeros((time, num_envs, 2)),
         force_error=jnp.zeros((time, num_envs, 2)),
         privileged_observation=inputs["value"][..., None],
         next_privileged_observation=inputs["next_value"][..., None],
         is_first=inputs["is_first"],
         truncated=inputs["truncated"],
-        weight=jnp.ones((time, num_envs)),
     )
     batch, _ = ppo.batch(before.critic, rollout)
     return Case(

@@ -104,7 +104,6 @@ class CasePPO(PPO):
             lane.policy.net,
             lane.policy.log_std,
             lane.policy.normalisation,
-            None,
             case.blind,
             case.forgets,
         )

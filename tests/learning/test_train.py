@@ -1,209 +1,186 @@
-"""Training runs: lanes, checkpoints, resuming, logs, what stops them."""
+"""Training runs: their policies, logs, and what stops them."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import safetensors
 
 from softfin.core.errors import ConfigurationError, RunError
-from softfin.gaits.reachable import Cell
-from softfin.learning import run as run_module
-from softfin.learning.configuration import GRID, SINGLE, TrainConfig
-from softfin.learning.policy import Policy, PolicyConfig
+from softfin.gaits.reachable import PAPER_REFERENCES, Reachable, bounding_box
+from softfin.learning import train as training
+from softfin.learning.configuration import (
+    GRID,
+    PAPER_PRESETS,
+    SINGLE,
+    TrainConfig,
+    training_cells,
+)
+from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import RunState, TrainingResult, TrainingRun
-from softfin.learning.train import train
-from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_training_log
+from softfin.learning.train import TrainedPolicies, train_policies
+from softfin.stages.reproduce_config import PRESETS
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig
-from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
+from tests.control.test_controllers import WIDE
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
 
 SMALL = TrainConfig(
+    controller="grid",
+    range="paper",
     steps=4 * 24,
-    cells=(Cell.around((1, -1)), Cell.around((2, 0))),
     task=TaskConfig(episode_actions=12, reference_actions=12),
     policy=PolicyConfig(units=8, width=8),
     ppo=PPOConfig(num_envs=4, num_steps=6, num_epochs=2, num_minibatches=2),
     num_evaluations=4,
+    lattice=2,
 )
-
-
-class Cut(Exception):
-    """The power goes."""
-
-
-def trained(
-    folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any
-) -> TrainingResult:
-    metadata = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
-    run_directory = RunDirectory(folder / "out", metadata, resume=options.pop("resume", False))
-    return train(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
-
-
-def log_of(folder: Path) -> list[dict[str, Any]]:
-    return read_training_log(folder / ".out.unfinished" / "log.jsonl")
+NEAR_TWO = Reachable(np.array([1.5, -1], np.float32), np.full(32, 0.4, np.float32))
+"""A fin that reaches the paper's first two cells only."""
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[TrainingResult, Path]:
-    folder = tmp_path_factory.mktemp("whole")
-    return trained(folder, (0, 1)), folder
+def trained() -> TrainedPolicies:
+    return train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
 
 
-def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(
-    whole: tuple[TrainingResult, Path],
+def test_there_is_a_policy_for_each_cell_and_none_are_alike(trained: TrainedPolicies) -> None:
+    assert trained.cells == PAPER_CELLS[:2]
+    kernels = np.asarray(trained.policies.net.lstm.kernel)
+    assert len(np.unique(kernels.reshape(2, -1), axis=0)) == 2
+    assert np.asarray(trained.evaluation.error).shape == (2, 4, 2)
+    assert np.isfinite(trained.evaluation.error).all()
+
+
+def test_policies_depend_on_their_seed_and_cell_only(trained: TrainedPolicies) -> None:
+    first = Reachable(np.array([1, -1], np.float32), np.full(32, 0.4, np.float32))
+    again = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
+    jax.tree.map(np.testing.assert_array_equal, again.policies, trained.policies)
+    other = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=6)
+    kernels = [np.asarray(run.policies.net.lstm.kernel[0]) for run in (trained, other)]
+    assert (kernels[0] != kernels[1]).any()
+    assert training_cells(SMALL, first) == PAPER_CELLS[:1]
+
+
+def test_the_log_has_every_update_and_the_score_without_noise(trained: TrainedPolicies) -> None:
+    assert [entry["step"] for entry in trained.log] == [24, 48, 72, 96]
+    for entry in trained.log:
+        assert {"reward", "kl", "error_x_n", "score_x_n", "score_y_n"} <= set(entry)
+
+
+def test_the_policies_with_the_lowest_errors_are_kept(trained: TrainedPolicies) -> None:
+    best = np.asarray(trained.evaluation.error).mean()
+    logged = [(entry["score_x_n"] + entry["score_y_n"]) / 2 for entry in trained.log]
+    assert best <= min(logged) + 1e-6
+
+
+@pytest.mark.parametrize(("updates", "count"), [(10, 3), (4, 10), (7, 1)])
+def test_evaluations_are_spread_over_the_run_and_the_last_update_is_one(
+    updates: int, count: int
 ) -> None:
-    kernels = np.asarray(whole[0].policies.net.lstm.kernel)
-    assert kernels.shape[:2] == (2, 2)
-    assert len(np.unique(kernels.reshape(4, -1), axis=0)) == 4
-    assert np.asarray(whole[0].evaluation.error).shape == (2, 2, 4, 2)
-    assert np.isfinite(whole[0].evaluation.error).all()
+    steps = updates * SMALL.ppo.steps_per_update
+    config = SMALL.model_copy(update={"steps": steps, "num_evaluations": count})
+    due = [update for update in range(1, updates + 1) if training._is_evaluated(config, update)]
+    assert len(due) == min(count, updates)
+    assert due[-1] == updates
 
 
-def test_a_resumed_run_ends_as_one_that_was_never_stopped(
-    whole: tuple[TrainingResult, Path], tmp_path: Path
-) -> None:
-    def cut(stage: str, done: float, note: str) -> None:
-        if done >= 0.6:
-            raise Cut
-
-    with pytest.raises(Cut):
-        trained(tmp_path, (0, 1), progress=cut)
-    resumed = trained(tmp_path, (0, 1), resume=True)
-
-    jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole[0].policies)
-    jax.tree.map(np.testing.assert_array_equal, resumed.evaluation, whole[0].evaluation)
-    assert log_of(tmp_path) == log_of(whole[1])
-
-
-def test_a_lane_learns_the_same_whatever_lanes_are_beside_it(
-    whole: tuple[TrainingResult, Path], tmp_path: Path
-) -> None:
-    """Alone, too: test_devices.py compares that."""
-    other = trained(tmp_path, (1, 7), SMALL.model_copy(update={"cells": SMALL.cells[::-1]}))
-    jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a[0, 0], b[1, 1], atol=1e-3),
-        other.policies,
-        whole[0].policies,
-    )
-
-
-def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(
-    whole: tuple[TrainingResult, Path],
-) -> None:
-    entries = log_of(whole[1])
-    assert [entry["step"] for entry in entries] == [24, 48, 72, 96]
-    for entry in entries:
-        assert {
-            f"seed{s}/{n}" for s in (0, 1) for n in ("reward", "kl", "score_x_n", "score_y_n")
-        } <= set(entry)
-    assert list((whole[1] / ".out.unfinished").glob("events.*"))
-
-
-def test_the_policy_with_the_best_deterministic_score_is_kept(
-    whole: tuple[TrainingResult, Path],
-) -> None:
-    entries = log_of(whole[1])
-    for i, seed in enumerate((0, 1)):
-        best = np.asarray(whole[0].evaluation.error)[i].mean()
-        logged = [
-            entry[f"seed{seed}/score_x_n"] + entry[f"seed{seed}/score_y_n"] for entry in entries
-        ]
-        assert best <= min(logged) / 2 + 1e-6
-
-
-def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkpoint(
-    tmp_path: Path,
-) -> None:
-    """After one good update the plant has no forces any more."""
-
-    def cut(stage: str, done: float, note: str) -> None:
-        raise Cut
-
-    with pytest.raises(Cut):
-        trained(tmp_path, (5, 6), progress=cut)
+def test_a_loss_that_is_not_finite_stops_with_its_place() -> None:
     words = (
-        r"the loss is NaN or infinite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 "
-        r"N; lower ppo.learning"
+        r"the loss is NaN or infinite in update 1, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; "
+        r"lower ppo.learning"
     )
     with pytest.raises(RunError, match=words):
-        trained(tmp_path, (5, 6), plant=AnalyticFin(gain=np.nan), resume=True)
-    with safetensors.safe_open(tmp_path / ".out.unfinished" / CHECKPOINT, "numpy") as file:
-        assert json.loads(file.metadata()["facts"])["updates"] == 1
+        train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO)
 
 
-def test_scores_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forces_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a run of hours would end with policies that were never any good."""
-    run = object.__new__(TrainingRun)
-    run.config = SMALL
-    run.agents = [(5, cell) for cell in SMALL.cells]
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
-    monkeypatch.setattr(run_module, "_evaluate", lambda *given: worst)
-    run.plant = None
-    run.references = jnp.zeros((2, 1, 2))
-    words = (
-        r"^train: the force in the evaluation is NaN or infinite in update 3 of 4, "
-        r"seed 5, cell x 1.5 .. 2.5"
-    )
+    monkeypatch.setattr(training, "_evaluate", lambda *given: worst)
+    words = r"^train: the force in the evaluation is NaN or infinite in update 1, cell x 1.5 .. 2.5"
     with pytest.raises(RunError, match=words):
-        run.evaluate(jax.eval_shape(lambda: Policy.create(jax.random.key(0), SMALL.policy, 11)), 3)
+        train_policies(AnalyticFin(), SMALL, NEAR_TWO)
 
 
-def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:
-    small = SMALL.model_copy(update={"steps": 23})
+def test_a_budget_under_one_rollout_is_refused() -> None:
     with pytest.raises(
         ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"
     ):
-        trained(tmp_path, config=small)
-    with pytest.raises(
-        ConfigurationError, match=r"seeds \[3, 3\]: use at least one seed, without duplicates"
-    ):
-        trained(tmp_path, (3, 3))
+        SMALL.changed(["steps=23"])
 
 
-def test_a_single_controller_of_two_cells_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="a single controller must have one cell, not 2"):
-        TrainConfig.build({**SMALL.model_dump(), "controller": "single"})
+def test_a_rollout_that_ends_within_a_cycle_of_the_clock_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"ppo.num_steps = 7: .* use a multiple of 3"):
+        SMALL.changed(["ppo.num_steps=7"])
 
 
-def test_the_budgets_are_those_of_the_paper() -> None:
-    assert (SINGLE.steps, len(SINGLE.cells)) == (30_000, 1)
-    assert (GRID.steps, len(GRID.cells)) == (10_000, 6)
+def test_a_reproduction_has_the_budgets_and_references_of_the_paper() -> None:
+    paper = PRESETS["paper"]
+    assert (paper.single, paper.grid) == tuple(PAPER_PRESETS.values())
+    assert [config.steps for config in PAPER_PRESETS.values()] == [30_000, 10_000]
+    assert {config.range for config in PAPER_PRESETS.values()} == {"paper"}
     for config in (SINGLE, GRID):
-        assert (
-            config.steps - config.ppo.steps_per_update
-            < config.num_updates * config.ppo.steps_per_update
-            <= config.steps
-        )
         assert config.task.episode_actions / 3 == 30
 
 
+def test_the_paper_range_has_its_references_and_cells() -> None:
+    assert training_cells(SINGLE.changed(["range=paper"]), WIDE) == (PAPER_RANGE,)
+    cells = training_cells(GRID.changed(["range=paper"]), WIDE)
+    assert cells == PAPER_CELLS
+    for cell, reference in zip(cells, PAPER_REFERENCES, strict=True):
+        assert cell.distance(reference) == 0
+
+
+def test_six_cells_cover_the_reach() -> None:
+    assert training_cells(SINGLE, WIDE) == (WIDE.bounding_box(),)
+    cells = training_cells(GRID, WIDE)
+    assert len(cells) == 6
+    assert bounding_box(cells) == WIDE.bounding_box()
+
+
+def test_a_grid_has_no_cell_that_the_fin_cannot_reach() -> None:
+    diagonal = np.full(8, 0.3, np.float32)
+    diagonal[[1, 5]] = 2
+    region = Reachable(np.zeros(2, np.float32), diagonal)
+    cells = training_cells(GRID, region)
+    assert 2 <= len(cells) < 6
+    for cell in cells:
+        assert region.contains(cell.lattice(8)).any()
+
+
+def test_a_fin_that_cannot_produce_the_papers_references_is_refused_with_its_reach() -> None:
+    small = Reachable(np.zeros(2, np.float32), np.full(32, 0.1, np.float32))
+    with pytest.raises(ConfigurationError) as refused:
+        training_cells(SINGLE.changed(["range=paper"]), small)
+    assert str(refused.value).startswith("range paper: this fin cannot produce any")
+    assert "x -0.1 .. 0.1, y -0.1 .. 0.1 N" in str(refused.value)
+
+
 def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_knows(
-    whole: tuple[TrainingResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: TrainedPolicies, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is the scoring that says so: here nothing is learnt, as learning in a surrogate takes long
-    to compile."""
+    """It is the evaluation that says so: here nothing is learnt, as learning in a surrogate takes
+    long to compile."""
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(1))
-    monkeypatch.setattr(run_module, "_update", lambda program, plant, lanes: (lanes, idle))
-    one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "num_evaluations": 1})
-    trained(tmp_path, config=one, plant=streaming.surrogate())
-    (entry,) = [entry for entry in log_of(tmp_path) if "seed0/score_x_n" in entry]
-    assert 0 <= entry["seed0/score_out_of_distribution"] <= 1
-    assert not any("seed0/score_out_of_distribution" in entry for entry in log_of(whole[1]))
+    monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
+    one = SMALL.model_copy(update={"controller": "single", "num_evaluations": 1})
+    run = train_policies(streaming.surrogate(), one, WIDE)
+    assert 0 <= run.log[-1]["score_out_of_distribution"] <= 1
+    assert not any("score_out_of_distribution" in entry for entry in trained.log)
 
 
-def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[TrainingResult, Path]) -> None:
-    policies = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), whole[0].policies)
+def test_policies_are_evaluated_in_the_plant_as_it_is_now(
+    trained: TrainedPolicies, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(2))
+    monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
 
     def error(plant: PlainFin) -> Any:
-        return np.asarray(TrainingRun(plant, SMALL, (0, 1), None).evaluate(policies, 0).error)
+        return np.asarray(train_policies(plant, SMALL, NEAR_TWO).evaluation.error)
 
     plant = PlainFin(gain=0.1)
     before = error(plant)
@@ -214,41 +191,17 @@ def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[TrainingResu
     np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))
 
 
-def test_policies_are_scored_without_the_noise_of_the_sensed_angle(
-    whole: tuple[TrainingResult, Path],
+@pytest.mark.parametrize("scale", [1.0, 0.05])
+def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(
+    scale: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policies = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), whole[0].policies)
-    noisy = SMALL.changed(["task.sensing.noise_rad=0.5"])
-    evaluation = TrainingRun(AnalyticFin(), noisy, (0, 1), None).evaluate(policies, 0)
-    expected = TrainingRun(AnalyticFin(), SMALL, (0, 1), None).evaluate(policies, 0)
-    np.testing.assert_array_equal(evaluation.error, expected.error)
-
-
-def test_an_episode_without_a_whole_window_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"
-    ):
-        trained(tmp_path, config=SMALL.changed(["task.episode_actions=3"]))
-
-
-@pytest.mark.parametrize(
-    ("scale", "expected"),
-    [
-        (1.0, "error 0.12/0.35 N, best deterministic 0.12/0.35 N"),
-        (0.05, "error 0.006/0.017 N, best deterministic 0.006/0.017 N"),
-    ],
-)
-def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(scale, expected):
-    run = TrainingRun(AnalyticFin(), TrainConfig(cells=(Cell.around((2, 0)),)), (0,), None)
-    run.references = scale * run.references
-    error = np.full((1, 4, 2), scale * np.array([0.12, 0.35]))
-    metrics = {"error_x_n": np.array([scale * 0.12]), "error_y_n": np.array([scale * 0.35])}
-    state = RunState(None, None, PolicyEvaluation(error, error, None))
-    assert run.note(metrics, state) == expected
-
-
-@needs_full_device
-def test_a_full_disk_stops_the_training_with_an_error(tmp_path: Path) -> None:
-    check_that_a_full_disk_stops(
-        lambda: trained(tmp_path, (0, 1)), work=tmp_path / ".out.unfinished"
+    metrics = {"error_x_n": [0.12 * scale] * 2, "error_y_n": [0.35 * scale] * 2}
+    idle = {name: jnp.zeros(2) for name in ("loss", "gradient_norm")} | metrics
+    monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
+    said: list[tuple[float, str]] = []
+    train_policies(
+        AnalyticFin(), SMALL, NEAR_TWO, report=lambda done, note: said.append((done, note))
     )
+    assert [done for done, _ in said] == [0.25, 0.5, 0.75, 1.0]
+    errors = {1.0: "0.12/0.35", 0.05: "0.006/0.017"}[scale]
+    assert said[-1][1] == f"error {errors} N while exploring"

@@ -13,7 +13,6 @@ import softfin
 from softfin.cli import main
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import RATE_HZ
-from softfin.gaits.force_map import load_map
 from softfin.stages.example import EXAMPLE
 from softfin.storage import artifact as artifacts
 from tests.documents import ROOT
@@ -61,15 +60,12 @@ def test_it_is_written_once_and_replaced_only_on_request(example, capsys):
     assert json.loads(capsys.readouterr().out) == {"example": str(example), **DESCRIPTION}
 
 
-def test_the_map_and_the_controllers_are_of_the_surrogate(example):
+def test_the_controllers_are_of_the_surrogate(example):
     surrogate = softfin.load_surrogate(example / "surrogate")
-    assert load_map(example / "map").force_map.reachable is not None
-    for name in ("map", *CONTROLLERS):
-        kind = "map" if name == "map" else "controller"
-        origin = artifacts.load_description(example / name, kind)["provenance"]
+    for name in CONTROLLERS:
+        origin = artifacts.load_description(example / name, "controller")["provenance"]
         assert origin["plant_identity"] == identity(surrogate), name
         assert origin["softfin"] == DESCRIPTION["provenance"]["softfin"]
-    for name in CONTROLLERS:
         assert softfin.load_controller(example / name).artifact.name == name
         assert {name, f"{name}-trim"} <= DESCRIPTION["errors"].keys()
 
@@ -82,10 +78,10 @@ def test_the_recording_is_a_minute_that_imports_without_a_question(example, tmp_
 
 
 @pytest.mark.slow
-def test_its_single_controller_holds_forces_in_the_tank(example, tmp_path):
+def test_its_gaits_hold_forces_in_the_tank(example, tmp_path):
     out = tmp_path / "evaluation"
     asked = ("--reference=2,-1", "--reference=1,1", "--seconds", "10", "--repeats", "1")
-    main(["evaluate", str(example / "single"), "--plant", "tank", "--out", str(out), *asked])
+    main(["evaluate", str(example / "gaits"), "--plant", "tank", "--out", str(out), *asked])
     mean = json.loads((out / "evaluation.json").read_text())["mean"]
     assert max(mean[axis]["error_n"] for axis in ("x", "y")) < 0.12
 

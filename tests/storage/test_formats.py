@@ -44,7 +44,7 @@ def test_a_number_beyond_those_that_are_read_is_refused_with_the_way_out(kind):
 @pytest.mark.parametrize("number", [None, "1", 1.0, True, 0, -1, [], {"a": 1}])
 def test_anything_but_a_whole_number_is_refused(number):
     with pytest.raises(ArtifactError, match="it must be a whole number of at least 1"):
-        check_format("map", number, "it")
+        check_format("controller", number, "it")
 
 
 @pytest.mark.parametrize("kind", FOLDERS)

@@ -1,6 +1,7 @@
 """What follows a surrogate into its controllers."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from softfin.control.store import load_controller
 from softfin.core.quantities import Command, Log, Reading
 from softfin.learning.configuration import SINGLE
-from softfin.stages.controllers import find_gaits, train
+from softfin.stages.controllers import map_forces, train
 from softfin.stages.surrogates import fit
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
@@ -16,7 +17,7 @@ from softfin.surrogate.channels import READINGS, UNKNOWN, learnt_from, ranges
 from softfin.surrogate.registry import find_architecture
 from softfin.surrogate.store import load_surrogate
 from tests.control.test_controllers import untrained
-from tests.gaits.test_map_store import KNOWN
+from tests.gaits.known import KNOWN
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
@@ -73,25 +74,24 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         run_directory.log()
         return small.surrogate()
 
-    def train_in_process(plant, config, seeds, run_directory, progress, forces):
-        run_directory.log()
-        return untrained(SINGLE)._replace(seeds=tuple(seeds))
-
     monkeypatch.setattr(
         "softfin.stages.surrogates.find_architecture",
         lambda model: find_architecture(model)._replace(fit=fit_streaming),
     )
-    monkeypatch.setattr("softfin.stages.controllers.train_in_process", train_in_process)
-    monkeypatch.setattr("softfin.stages.controllers.write_learning", lambda folder: None)
+    surveyed = SimpleNamespace(reachable=KNOWN.reachable)
+    monkeypatch.setattr("softfin.stages.controllers.survey", lambda *asked: surveyed)
+    monkeypatch.setattr(
+        "softfin.stages.controllers.train_policies", lambda *asked: untrained(SINGLE)
+    )
     monkeypatch.setattr("softfin.stages.controllers.find_force_map", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
     fit(tmp_path / "dataset", tmp_path / "surrogate")
-    train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
-    find_gaits(surrogate, tmp_path / "gaits")
+    train(surrogate, tmp_path / "policy")
+    map_forces(surrogate, tmp_path / "gaits")
     expected = ranges(logs[:3])
     for file in (
         "surrogate/surrogate.json",
-        "policy/seed-5/controller.json",
+        "policy/controller.json",
         "gaits/controller.json",
     ):
         described = json.loads((tmp_path / file).read_text())

@@ -6,7 +6,13 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, References, stack_references
+from softfin.task.references import (
+    PAPER_CELLS,
+    PAPER_RANGE,
+    References,
+    divide,
+    stack_references,
+)
 
 
 def test_each_reference_of_the_paper_is_the_middle_of_its_cell_and_in_no_other() -> None:
@@ -73,3 +79,11 @@ def test_a_cell_upside_down_is_refused() -> None:
         match=r"low .* must not be greater than high .*; use the lower corner first",
     ):
         Cell.build({"low": (1, 0), "high": (0, 1)})
+
+
+def test_the_parts_of_a_cell_fill_it_in_order_of_x_then_y() -> None:
+    cell = Cell(low=(-0.3, -1), high=(1.7, 2))
+    parts = divide(cell, 2, 3)
+    assert len(parts) == 6
+    assert bounding_box(parts) == cell
+    assert parts[0].high == parts[4].low == (0.7, 0.0)

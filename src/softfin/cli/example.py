@@ -15,8 +15,7 @@ def _check_folder(path: str | Path, command: Configuration) -> None:
 
 
 class ExampleArguments(Common):
-    """Write an example for the virtual tank: a trained surrogate, controllers, a map and a
-    recording."""
+    """Write an example for the virtual tank: a trained surrogate, controllers and a recording."""
 
     out: Annotated[Path, Option("DIR", True, check=_check_folder)]
     """Output folder; its README.md lists the commands that produced each part."""
@@ -32,6 +31,6 @@ class ExampleArguments(Common):
             f"{self.out}: a surrogate of the virtual tank, controllers trained in it, and a "
             "one-minute recording\n"
             f"error of the mean force in the tank, x, y: {'; '.join(errors)}\n"
-            f"next: softfin evaluate {self.out}/single --plant tank --out evaluation; "
+            f"next: softfin evaluate {self.out}/gaits --plant tank --out evaluation; "
             f"see {self.out}/README.md for more",
         )

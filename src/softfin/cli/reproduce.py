@@ -35,9 +35,8 @@ class ReproduceArguments(Configured):
     out: Out
     """Output folder."""
     preset: ReproducePreset = "paper"
-    """paper: the paper's data and training (hours); streaming: the same with a streaming surrogate;
-    best: streaming surrogate, gaits, and policies trained by gradients; demo: the same in minutes;
-    tiny: only shows that everything works."""
+    """paper: the paper's data and training (hours); demo: a streaming surrogate, gaits and one
+    policy (minutes); tiny: only shows that everything works."""
     plant: PlantName = "tank"
     """The fin: tank, package.module:plant, or a surrogate's folder, which skips collect and fit."""
     seed: int = 0

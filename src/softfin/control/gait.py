@@ -1,8 +1,7 @@
 """Gaits as a controller, without a network: a table with the actions of one window for each node
 of a lattice of references, and interpolation between the nodes.
 
-Gaits are the benchmark and the starting point of the policies, and a good choice if the controller
-must be small.
+``softfin map`` finds the gaits.
 """
 
 from dataclasses import dataclass

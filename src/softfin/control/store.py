@@ -18,7 +18,6 @@ from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
 from softfin.core.action_clock import ActionClock
-from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, one_line
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, NamedArrays
@@ -26,7 +25,7 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
 CONTROLLER_KIND = "controller"
-AGAIN = "copy the folder again, or train it again"
+AGAIN = "copy the folder again, or map or train again"
 """Suggested fix for a damaged folder."""
 
 CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
@@ -67,11 +66,7 @@ def build_controller(
         )
     try:
         limits = Limits.of(description["limits"])
-        clock = ActionClock.model_validate(description.get("clock", {}))
-        # Versions before 0.1 stored the rate alone, that of the paper's clock.
-        rate_hz = description["action_rate_hz"]
-        if rate_hz != clock.rate_hz:
-            raise ValueError(f"action_rate_hz is {rate_hz!r}, but the clock's is {clock.rate_hz:g}")
+        clock = ActionClock.model_validate(description["clock"])
         region = description.get("reachable")
         # Gait controllers store no cells; theirs is the bounding box of their lattice.
         listed = [] if kind == GaitStep.kind else description["cells"]
@@ -113,7 +108,6 @@ def write_controller(
     """
     description = {
         "controller": kind,
-        "action_rate_hz": clock.rate_hz,
         "clock": clock.model_dump(mode="json"),
         "limits": limits.to_dict(),
         **keys,
@@ -124,42 +118,45 @@ def write_controller(
 def save_gaits(
     path: Path,
     force_map: ForceMap,
-    config: Configuration,
+    tolerance_n: float,
     limits: Limits,
-    provenance: Mapping[str, object],
-    extra_files: Callable[[Path], None] | None = None,
-    learnt: Mapping[str, object] = MappingProxyType({"training_range": None, "fin": None}),
+    keys: Mapping[str, object],
     overwrite: bool = False,
 ) -> None:
-    """Write the gaits of a map as a controller, completely or not at all.
+    """Write the gaits of a map as a controller, with its figure ``map.svg`` and ``map.png``,
+    completely or not at all.
 
-    `extra_files` writes more files into the folder. `learnt` describes the training data of its
-    plant (`softfin.surrogate.channels.learnt_from`).
+    `tolerance_n` is the maximum force error of a gait whose force counts as reachable; `keys` are
+    further entries of ``controller.json``.
     """
+    # Imported here, because importing Matplotlib takes time and reading a controller does not need
+    # it.
+    from softfin.gaits.figure import map_figure
+    from softfin.storage.figures import save_figure
+
     gaits = force_map.gaits
     error = gaits.force_error()
     nodes = gaits.table.references()
-    keys = {
-        **force_map.to_dict(),
-        **learnt,
-        "scores": [
-            {
-                "reference_n": nodes[place].tolist(),
-                "missed_n": round(float(error[place]), 4),
-                "smoothness_n": gaits.smoothness[place].round(4).tolist(),
-            }
-            for place in np.ndindex(error.shape)
-        ],
-        "configuration": config.model_dump(mode="json"),
-        "provenance": provenance,
-    }
+    scores = [
+        {
+            "reference_n": nodes[place].tolist(),
+            "missed_n": round(float(error[place]), 4),
+            "smoothness_n": gaits.smoothness[place].round(4).tolist(),
+        }
+        for place in np.ndindex(error.shape)
+    ]
+    figure = map_figure(force_map, tolerance_n)
+
+    def draw(folder: Path) -> None:
+        save_figure(figure, folder, "map")
+
     write_controller(
         path,
         GaitStep.kind,
         limits,
-        keys,
+        {**force_map.to_dict(), "scores": scores, **keys},
         force_map.arrays(),
-        extra_files,
+        draw,
         overwrite,
         force_map.clock,
     )

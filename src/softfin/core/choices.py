@@ -4,26 +4,18 @@ from typing import Literal, TypeAlias
 
 # Other modules have tables with an entry for each name: PRESETS for reproductions and calibrations,
 # SIGNALS for evaluations and UNITS for columns.
-ReproducePreset: TypeAlias = Literal["demo", "best", "streaming", "paper", "tiny"]
+ReproducePreset: TypeAlias = Literal["demo", "paper", "tiny"]
 CalibratePreset: TypeAlias = Literal["full", "quick"]
 MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
 ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
-ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
-"""One policy for all references, one policy per cell of a grid, or a table of gaits without a
-policy."""
-
-Algorithm: TypeAlias = Literal["gradient", "ppo"]
-AlgorithmPreset: TypeAlias = Literal["gradient", "ppo", "ppo-hindsight"]
-"""Gradients through the plant, plain LSTM-PPO as in the paper, or LSTM-PPO with hindsight
-relabelling."""
-AlgorithmOption: TypeAlias = Literal["auto", AlgorithmPreset]
-"""Training algorithm of policies; auto uses gradients if the plant is differentiable, otherwise
-LSTM-PPO with hindsight relabelling."""
-
-EngineName: TypeAlias = Literal["local", "ray"]
+"""One policy for all references, or one policy per cell of a grid."""
+ControllerKind: TypeAlias = Literal["gaits", "single", "grid"]
+"""A table of gaits, or policies."""
+TrainingRangeName: TypeAlias = Literal["reach", "paper"]
+"""References for training: all forces that the fin can produce, or the paper's references."""
 
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """Transport of a ROS 2 node; auto uses rclpy if it is installed, otherwise DDS."""

@@ -38,7 +38,7 @@ def identity(plant: Plant, computed: bool = False) -> str:
 
     For softfin's own plants, the hash covers what was loaded; with `computed`, it also covers what
     XLA computed from that, whose last bits depend on XLA's options. Resumed runs compare the
-    latter, and files of earlier versions contain it. For a user's simulator, the hash also depends
+    latter. For a user's simulator, the hash also depends
     on the version of JAX, which generates the lowered program, so the version is part of the text.
     A simulator may define an attribute `identity`. Otherwise it must be traceable and must not call
     back into Python; if it does, PlantError is raised.
@@ -51,7 +51,7 @@ def identity(plant: Plant, computed: bool = False) -> str:
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
         # The structure's text contains the names of NamedTuples and their fields. Renaming one
-        # changes the identity of every surrogate, so that no existing map or controller matches.
+        # changes the identity of every surrogate, so that no unfinished run matches.
         for each in () if computed else getattr(plant, "computed", ()):
             arrays = eqx.tree_at(operator.attrgetter(each), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
@@ -62,11 +62,6 @@ def identity(plant: Plant, computed: bool = False) -> str:
             "parameters; add an attribute `identity`, a string that contains them"
         )
     return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
-
-
-def matches_identity(stated: str | None, plant: Plant) -> bool:
-    """Whether a plant has the identity that this or an earlier version stored in a file."""
-    return stated in (identity(plant), identity(plant, computed=True))
 
 
 def jit_argument(plant: Plant) -> Plant:

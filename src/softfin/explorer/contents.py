@@ -122,10 +122,8 @@ def controller_data(controller: LoadedController) -> JsonObject:
     network = step.networks if isinstance(step, GridStep) else step.network
     return data | {
         "network": {name: encode_arrays(array) for name, array in network._asdict().items()},
-        "task": {"past_actions": step.observation.past_actions, "phase": step.observation.phase},
+        "task": {"past_actions": step.observation.past_actions},
         "rest": list(step.rest),
-        "gaits": None if step.gaits is None else _table(step.gaits),
-        "switching": step.switching.model_dump(mode="json") if isinstance(step, GridStep) else None,
     }
 
 

@@ -1,9 +1,6 @@
 /* Controllers (softfin.control): a reference force in, a command out, once per action. Inputs are rounded to single
  * precision, as there, so that a reference on the edge of a cell belongs to the same cell. */
 
-const GREATEST_ACTION = Math.fround(0.999);
-const phase = (age) => { const turn = (2 * Math.PI * (age % WINDOW_ACTIONS)) / WINDOW_ACTIONS; return [Math.sin(turn), Math.cos(turn)]; };
-
 /* Gaits of one window on a lattice of references, blended between its nodes; in single precision, as with NumPy. */
 class GaitTable {
   constructor({ low, high, actions }) {
@@ -30,9 +27,9 @@ class GaitTable {
   }
 }
 
-/* What a policy observes: now (angle, reference x, y), past actions, and on demand the clock's phase. */
-function observed(task, now, actions, age) {
-  return joined(now, actions.slice(0, 2 * (task.past_actions + 1)), task.phase ? phase(age) : []);
+/* What a policy observes: now (angle, reference x, y), and past actions. */
+function observed(task, now, actions) {
+  return joined(now, actions.slice(0, 2 * (task.past_actions + 1)));
 }
 
 /* An LSTM and the layer behind it; its memory is {hidden, cell}. */
@@ -53,10 +50,9 @@ class PolicyNetwork {
     return { hidden: cell.map((value, i) => opened(2, i) * Math.tanh(value)), cell };
   }
 
-  action(memory, gaits, reference, age) {
-    const inner = product(memory.hidden, this.hidden, this.hidden_bias).map(Math.tanh), before = product(inner, this.output, this.output_bias);
-    const gait = gaits === null ? [0, 0] : gaits.action(reference, age).map((action) => Math.atanh(GREATEST_ACTION * action));
-    return [0, 1].map((k) => Math.tanh(before[k] + gait[k]));
+  action(memory) {
+    const inner = product(memory.hidden, this.hidden, this.hidden_bias).map(Math.tanh);
+    return Array.from(product(inner, this.output, this.output_bias).map(Math.tanh));
   }
 }
 
@@ -72,72 +68,58 @@ class GaitController {
 }
 
 class SingleController {
-  constructor({ network, task, rest, gaits }) {
+  constructor({ network, task, rest }) {
     this.network = new PolicyNetwork(Object.fromEntries(Object.entries(network).map(([name, array]) => [name, decoded(array)])));
-    this.gaits = gaits === null ? null : new GaitTable(gaits);
     this.task = task;
     this.memory = this.network.empty();
     this.actions = joined(...Array(task.past_actions + 1).fill(rest));
-    this.age = 0;
   }
 
   act(now) {
-    this.memory = this.network.remember(this.memory, observed(this.task, now, this.actions, this.age));
-    const action = this.network.action(this.memory, this.gaits, now.slice(1), this.age++);
+    this.memory = this.network.remember(this.memory, observed(this.task, now, this.actions));
+    const action = this.network.action(this.memory);
     this.actions = joined(action, this.actions.slice(0, -2));
     return action;
   }
 }
 
-/* A policy for each cell, switched on demand: with hysteresis, replayed observations and blended actions. */
+/* A policy for each cell; after a switch, the new one replays the last observations. */
 class GridController {
-  constructor({ network, cells, task, rest, gaits, switching }) {
+  constructor({ network, cells, task, rest }) {
     const stacked = Object.entries(network).map(([name, array]) => [name, decoded(array)]);
     this.networks = cells.map((_, index) => new PolicyNetwork(Object.fromEntries(stacked.map(([name, array]) => [name, part(array, index)]))));
-    this.gaits = gaits === null ? null : new GaitTable(gaits);
     // In single precision, as references are: where cells touch, the same one acts.
     this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
-    Object.assign(this, { task, switching, memory: this.networks[0].empty(), age: 0, activeCell: 0, blend: 0 });
+    Object.assign(this, { task, memory: this.networks[0].empty(), age: 0, activeCell: 0 });
     this.actions = joined(...Array(WINDOW_ACTIONS + task.past_actions + 1).fill(rest));
     this.angles = Array(WINDOW_ACTIONS).fill(0);
-    this.lastReference = [0, 0];
   }
 
   act(now) {
     const reference = now.slice(1), cell = this.nearestCell(reference), switched = cell !== this.activeCell && this.age > 0;
     const network = this.networks[cell], memory = switched ? this.warmUp(network, reference) : this.memory;
-    this.memory = network.remember(memory, observed(this.task, now, this.actions, this.age));
-    const blend = this.blending(switched, reference), before = this.actions.slice(2 * (WINDOW_ACTIONS - 1), 2 * WINDOW_ACTIONS);
-    const action = network.action(this.memory, this.gaits, reference, this.age).map((value, k) => (1 - blend) * value + blend * before[k]);
-    this.blend = clip(blend - 1 / Math.max(1, this.switching.fade_actions), 0, 1);
+    this.memory = network.remember(memory, observed(this.task, now, this.actions));
+    const action = network.action(this.memory);
     this.actions = joined(action, this.actions.slice(0, -2));
     this.angles = [now[0], ...this.angles.slice(0, -1)];
-    this.lastReference = reference;
     this.activeCell = cell;
     this.age++;
     return action;
   }
 
-  /* Index of the cell whose policy acts: the last one, unless another is nearer by the margin. */
+  /* Index of the cell that contains the reference, or of the nearest one. */
   nearestCell(reference) {
-    const distances = this.cells.map((cell) => distanceTo(withinCell(cell, reference), reference)), least = Math.min(...distances);
-    return this.age > 0 && distances[this.activeCell] <= least + this.switching.margin_n ? this.activeCell : distances.indexOf(least);
+    const distances = this.cells.map((cell) => distanceTo(withinCell(cell, reference), reference));
+    return distances.indexOf(Math.min(...distances));
   }
 
   /* Replay the last cycle, or as much of it as there was, as if the reference had long been this one. */
   warmUp(network, reference) {
     let memory = network.empty();
-    for (let ago = Math.min(WINDOW_ACTIONS, this.age); this.switching.replay && ago > 0; ago--) {
-      memory = network.remember(memory, observed(this.task, [this.angles[ago - 1], ...reference], this.actions.slice(2 * ago), this.age - ago));
+    for (let ago = Math.min(WINDOW_ACTIONS, this.age); ago > 0; ago--) {
+      memory = network.remember(memory, observed(this.task, [this.angles[ago - 1], ...reference], this.actions.slice(2 * ago)));
     }
     return memory;
-  }
-
-  /* Weight of the action one cycle ago: at first 1, once there is a whole cycle. */
-  blending(switched, reference) {
-    if (!this.switching.fade_actions) return 0;
-    const blend = switched ? Number(this.age >= WINDOW_ACTIONS) : this.blend;
-    return blend * clip(1 - distanceTo(reference, this.lastReference) / this.switching.step_n, 0, 1);
   }
 }
 

@@ -1,11 +1,5 @@
-"""The force map of a fin: the mean forces that it can produce, with their gaits and Sobolev terms.
-
-The folder of a map contains ``map.json`` (lattice, region, provenance) and ``weights.safetensors``
-(gaits and their forces).
-"""
-
-from pathlib import Path
-from typing import NamedTuple
+"""The force map of a fin: the mean forces that it can produce, with their gaits and Sobolev
+terms."""
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -13,22 +7,19 @@ from scipy.ndimage import map_coordinates
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ArtifactError, PlantError, one_line
-from softfin.core.json_object import JsonObject
+from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import identity, matches_identity
-from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import ReportSearch, Survey, SurveyConfig, missing_gradient, survey
+from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient, survey
 from softfin.gaits.usable import check_usable
-from softfin.storage import artifact as artifacts
-
-MAP_KIND = "map"
 
 TOLERANCE_N = 0.1
 """Force error up to which a force counts as reachable, for the paper's fin [N]."""
+
+SURVEY_SHARE = 0.3
+"""Part of the progress bar for the survey."""
 
 RAY_PARTS = 24
 """Number of points along the ray to each corner at which the error is interpolated."""
@@ -75,21 +66,12 @@ class MapConfig(Configuration):
         return self.tolerance_n or TOLERANCE_N * surveyed.size
 
 
-def empty_map(table: GaitTable, directions: int, clock: ActionClock) -> ForceMap:
-    """Return an empty map with the shapes of a checkpoint."""
-    nothing = np.zeros((*table.nodes, 2), np.float32)
-    nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
-    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere, clock)
-
-
 def find_force_map(
     plant: Plant,
     config: MapConfig,
-    report: ReportSearch | None = None,
-    surveyed: Survey | None = None,
+    report: ReportSearch = lambda *_: None,
 ) -> ForceMap:
-    """Survey a plant, unless that is done, find a gait for each node, and determine the region that
-    the gaits reach.
+    """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
 
     Raises:
         PlantError: the plant has no gradient, or its forces cannot be controlled.
@@ -100,14 +82,12 @@ def find_force_map(
             f"the search for gaits requires: {reason}; record the plant (softfin collect), fit a "
             "surrogate (softfin fit), and map the surrogate"
         )
-    notify = report or (lambda *_: None)
-    start = 0.0
-    if surveyed is None:
-        # The survey takes about 30% of the progress bar.
-        start = 0.3
-        surveyed = survey(
-            plant, config.survey, lambda done, note: notify(start * done, note), config.clock
-        )
+    surveyed = survey(
+        plant,
+        config.survey,
+        lambda done, note: report(SURVEY_SHARE * done, note),
+        config.clock,
+    )
     check_usable(plant, surveyed.reachable)
     empty = config.empty_table(surveyed.reachable)
     gaits = find_gaits(
@@ -115,7 +95,7 @@ def find_force_map(
         surveyed,
         empty,
         config.gaits,
-        lambda done, note: notify(start + (1 - start) * done, note),
+        lambda done, note: report(SURVEY_SHARE + (1 - SURVEY_SHARE) * done, note),
     )
     tolerance_n = config.tolerance(surveyed.reachable)
     region = held_region(surveyed.reachable, gaits, tolerance_n)
@@ -171,83 +151,3 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
     )
     star = {"held_outside": outside, "missed_inside": unmet}
     return star, warning if max(outside, unmet) > NOT_STAR else None
-
-
-class LoadedMap(NamedTuple):
-    """Content of the folder of a map."""
-
-    force_map: ForceMap
-    limits: Limits
-    """Command limits of the plant; actions of the gaits are relative to them."""
-    config: MapConfig
-    """Configuration of the map."""
-    plant_identity: str | None
-    """Identity of the plant, if known."""
-
-
-def save_map(
-    path: Path,
-    force_map: ForceMap,
-    config: MapConfig,
-    limits: Limits,
-    origin: JsonObject,
-    overwrite: bool = False,
-) -> None:
-    """Write a map and its figure, ``map.svg`` and ``map.png``, completely or not at all."""
-    # Imported here, because importing Matplotlib takes time and reading a map does not need it.
-    from softfin.gaits.figure import map_figure
-    from softfin.storage.figures import save_figure
-
-    tolerance_n = config.tolerance(force_map.reachable)
-    description = {
-        "limits": limits.to_dict(),
-        **force_map.to_dict(),
-        "star_shape": check_star(force_map, tolerance_n)[0],
-        "configuration": config.model_dump(mode="json"),
-        "provenance": origin,
-    }
-    figure = map_figure(force_map, tolerance_n)
-    arrays = force_map.arrays()
-
-    def draw(folder: Path) -> None:
-        save_figure(figure, folder, "map")
-
-    artifacts.save(path, MAP_KIND, description, arrays, draw, overwrite)
-
-
-def load_map(path: Path) -> LoadedMap:
-    """Load the map in a folder; raises ArtifactError if it is missing or damaged."""
-    description, weights = artifacts.load(path, MAP_KIND)
-    source = str(path / f"{MAP_KIND}.json")
-    try:
-        return LoadedMap(
-            ForceMap.from_dict(description, weights),
-            Limits.of(description["limits"]),
-            MapConfig.model_validate(description["configuration"]),
-            description["provenance"].get("plant_identity"),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(
-            f"{source}: invalid map ({one_line(error)}); run softfin map again"
-        ) from None
-
-
-def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
-    """Load a map and check that it belongs to a plant.
-
-    The actions of gaits are relative to the limits of the plant, and other plants would produce
-    other forces from them. `name` is the name of the plant in error messages.
-
-    Raises:
-        ArtifactError: the map is missing or damaged, or belongs to another plant.
-    """
-    loaded = load_map(path)
-    limits = list(map(float, plant.limits))
-    same_limits = np.allclose(loaded.limits, limits, atol=1e-3)
-    if not same_limits or not matches_identity(loaded.plant_identity, plant):
-        raise ArtifactError(
-            f"{path}: the map belongs to another plant ({loaded.plant_identity}) or to other "
-            f"limits than those of {name} ({identity(plant)}); map this plant: softfin map {name} "
-            "--out DIR"
-        )
-    return loaded

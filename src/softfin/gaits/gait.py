@@ -123,16 +123,6 @@ class GaitSearchResult(NamedTuple):
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
-class FinForces(NamedTuple):
-    """Mean forces that a fin can produce, as far as they are known."""
-
-    reachable: Reachable
-    gaits: GaitTable | None = None
-    """Gaits for these forces; None if they were only surveyed."""
-    clock: ActionClock = PAPER_CLOCK
-    """Clock of the gaits."""
-
-
 def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
     # Also false for NaN, because all comparisons with NaN are false.
     return bool(((-np.inf < low) & (low <= high) & (high < np.inf)).all())
@@ -145,11 +135,6 @@ class ForceMap(NamedTuple):
     reachable: Reachable
     clock: ActionClock = PAPER_CLOCK
     """Clock of the gaits."""
-
-    @property
-    def forces(self) -> FinForces:
-        """The region and the gaits, without their forces."""
-        return FinForces(self.reachable, self.gaits.table, self.clock)
 
     def to_dict(self) -> JsonObject:
         """Return the lattice and the region for JSON."""
@@ -215,7 +200,7 @@ class ForceMap(NamedTuple):
                 "plant"
             )
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
-        clock = ActionClock.model_validate(description.get("clock", {}))
+        clock = ActionClock.model_validate(description["clock"])
         if clock.window_actions != gait_actions:
             raise ValueError(
                 f"gaits of {gait_actions} actions do not fit the clock's window of "

@@ -279,9 +279,13 @@ class Reachable(NamedTuple):
         last = np.where(side == 0, np.where(between, 1, -np.inf), np.maximum(one, other))
         enter = first.max(axis=1).clip(0)
         leave = last.min(axis=1).clip(max=1)
-        on_side = _on_sides(corners, forces, enter, np.maximum(enter, leave))
+        crosses = enter <= leave
+        # Sides that miss the cell have infinite positions, which must not be multiplied.
+        on_side = _on_sides(
+            corners, forces, np.where(crosses, enter, 0), np.where(crosses, leave, 0)
+        )
         # Clipped, because rounding errors could move a point out of the cell.
-        return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
+        return np.where(crosses[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
 
     def area(self) -> float:
         """Return the area of the polygon [N^2]."""
@@ -321,13 +325,6 @@ class Reachable(NamedTuple):
         """Smallest cell that contains the region."""
         low, high = self.bounds()
         return Cell(low=low, high=high)
-
-
-PAPER_SIZED = Reachable(
-    np.array([PAPER_REACH_N, 0], np.float32), np.full(32, PAPER_REACH_N, np.float32)
-)
-"""A reach equal to that of the paper's fin, used to check a configuration before the fin's own
-reach is known."""
 
 
 @cache

@@ -1,63 +1,34 @@
-"""Writes trained policies to controller folders, with their scores and a figure of the errors
-during training."""
+"""Writes trained policies to controller folders, with their scores, the training log and a figure
+of the errors during training."""
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import AXES, AnyArray
-from softfin.learning.configuration import TrainConfig
-from softfin.learning.policy import Policy, name_policy_arrays, policy_memory
-from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import TrainingResult
+from softfin.core.quantities import AnyArray
+from softfin.learning.policy import name_policy_arrays
+from softfin.learning.train import TrainedPolicies
+from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
-from softfin.storage.run_directory import LOG, read_training_log
-from softfin.surrogate.channels import UNKNOWN
+from softfin.storage.run_directory import LOG, TRAINING_LOG
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
 """(steps, values) of a run, with increasing steps."""
 
-REFINED = "refined"
-"""Folder of the logs of a refinement, which is a separate run with steps from 0."""
 
-
-def write_learning(folder: Path) -> None:
-    """Write ``learning.svg`` next to the logs of a run and its tasks, with a curve for each seed in
-    each log."""
-    runs: dict[str, list[Curve]] = {}
-    for log in sorted(folder.rglob(LOG)):
-        is_refined = REFINED in log.relative_to(folder).parts
-        group = "refined cells" if is_refined else "error without exploration noise"
-        runs.setdefault(group, []).extend(curves(read_training_log(log)))
-    # A run that stopped before its first evaluation has no curve.
-    found = {group: group_curves for group, group_curves in runs.items() if group_curves}
-    if found:
-        figure = learning_figure(found, "mean error of both axes [N]")
-        save_figure(figure, folder, "learning", ("svg",))
-
-
-def curves(entries: Sequence[JsonObject]) -> list[Curve]:
-    """Return the error of each seed over the steps, for the entries of a log with an evaluation."""
-    first = f"/score_{AXES[0]}_n"
-    second = f"/score_{AXES[1]}_n"
-    scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
-    if not scored:
-        return []
-    seeds = [name.removesuffix(first) for name in scored[0] if name.endswith(first)]
-    steps = [entry["step"] for entry in scored]
-    seed_curves: list[Curve] = []
-    for seed in seeds:
-        errors = [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored]
-        seed_curves.append((steps, errors))
-    return seed_curves
+def learning_curve(entries: Sequence[JsonObject], *names: str) -> Curve:
+    """Return the mean of some metrics over the steps, for the entries of a log that have them."""
+    having = [entry for entry in entries if names[0] in entry]
+    steps = [entry["step"] for entry in having]
+    values = [float(np.mean([entry[name] for name in names])) for entry in having]
+    return steps, values
 
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
@@ -81,80 +52,73 @@ def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figur
     return figure
 
 
-def save_controller(
+def save_policies(
     path: Path,
-    trained: TrainingResult,
-    seed: int,
+    trained: TrainedPolicies,
     provenance: Mapping[str, object],
-    extra_files: Callable[[Path], None] | None = None,
-    learnt: Mapping[str, object] = UNKNOWN,
+    learnt: Mapping[str, object],
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of a seed, completely or not at all; `learnt` describes the training
-    data of its plant."""
+    """Write the controller, completely or not at all; `learnt` describes the training data of its
+    plant."""
     config = trained.config
-    index = trained.seeds.index(seed)
-    # The policies of a grid have a leading axis of cells.
-    is_grid = config.controller == "grid"
-    one = (index,) if is_grid else (index, 0)
-    policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
-    reachable = trained.reachable
-    tracked = config.evaluation_references(reachable)
+    policies = trained.policies
+    if config.controller == "single":
+        # Only the policies of a grid have a leading axis of cells.
+        policies = jax.tree.map(lambda leaf: leaf[0], policies)
+    arrays = {name: np.asarray(leaf) for name, leaf in name_policy_arrays(policies).items()}
     keys = {
-        "cells": [cell.model_dump(mode="json") for cell in config.cells],
-        "task": config.task.model_dump(mode="json"),
-        "reachable": None if reachable is None else reachable.to_dict(),
-        "switching": config.switching.model_dump(mode="json") if is_grid else None,
+        "cells": [cell.model_dump(mode="json") for cell in trained.cells],
+        "task": trained.task.model_dump(mode="json"),
+        "reachable": trained.reachable.to_dict(),
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
-        "memory": policy_memory(policies),
-        "scores": _scores(config, tracked, trained.evaluation, index),
+        "scores": list_scores(trained),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
-    arrays = name_policy_arrays(policies)
-    if is_grid:
-        # All policies have the same gaits, which are stored once.
-        for name, array in arrays.items():
-            if name.startswith(f"{GAITS}."):
-                arrays[name] = array[0]
+
+    def write_training(folder: Path) -> None:
+        lines = (json.dumps(artifacts.plain(entry)) + "\n" for entry in trained.log)
+        artifacts.write_file(folder / TRAINING_LOG / LOG, "".join(lines))
+        curve = learning_curve(trained.log, "score_x_n", "score_y_n")
+        figure = learning_figure(
+            {"error without exploration noise": [curve]}, "mean error of both axes [N]"
+        )
+        save_figure(figure, folder / TRAINING_LOG, "learning", ("svg",))
+
     write_controller(
         path,
         config.controller,
         trained.limits,
         keys,
         arrays,
-        extra_files,
+        write_training,
         overwrite,
-        config.task.clock,
+        trained.task.clock,
     )
 
 
-def _scores(
-    config: TrainConfig,
-    tracked: Float[np.ndarray, "cells references 2"],
-    scored: PolicyEvaluation,
-    index: int,
-) -> list[JsonObject]:
+def list_scores(trained: TrainedPolicies) -> list[JsonObject]:
     """List the evaluation references of each cell and the force errors in the training plant.
 
-    Errors are relative to ``tracked_reference_n``, the nearest reachable force if the reachable
-    region is known. ``out_of_distribution_fraction`` is the fraction of actions outside the
-    training data of an ensemble.
+    Errors are relative to ``tracked_reference_n``, the nearest reachable force.
+    ``out_of_distribution_fraction`` is the fraction of actions outside the training data of an
+    ensemble.
     """
     rows = []
-    outside = scored.out_of_distribution_fraction
-    for i, cell in enumerate(config.cells):
-        for j, reference in enumerate(cell.lattice(config.lattice)):
+    outside = trained.evaluation.out_of_distribution_fraction
+    for i, cell in enumerate(trained.cells):
+        for j, reference in enumerate(cell.lattice(trained.config.lattice)):
             row: JsonObject = {
                 "cell": i,
                 "reference_n": list(reference),
-                "tracked_reference_n": _rounded(tracked[i, j]),
-                "error_n": _rounded(scored.error[index, i, j]),
-                "std_n": _rounded(scored.std[index, i, j]),
+                "tracked_reference_n": _rounded(trained.references[i, j]),
+                "error_n": _rounded(trained.evaluation.error[i, j]),
+                "std_n": _rounded(trained.evaluation.std[i, j]),
             }
             if outside is not None:
-                row["out_of_distribution_fraction"] = float(outside[index, i, j])
+                row["out_of_distribution_fraction"] = float(outside[i, j])
             rows.append(row)
     return rows
 

@@ -3,14 +3,8 @@ training. Both normalize their inputs.
 
 Actions are squashed Gaussians: a = tanh(u) with u ~ N(mean(observations so far), std). The
 deterministic action is tanh(mean). All actions are therefore within the limits without clipping.
-
-A policy may start from a table of gaits. Its networks then learn a correction that is added to the
-gait of the reference before the tanh (residual policy learning: Silver et al. 2018; Johannink et
-al. 2019).
 """
 
-import math
-from collections.abc import Mapping
 from typing import Any, cast
 
 import equinox as eqx
@@ -19,10 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
-from softfin.control.policy import MEASURED, PolicyMemory, gait_before_tanh, phases
+from softfin.control.policy import PolicyMemory
 from softfin.core.configuration import Configuration
-from softfin.core.operations import jax_operations
-from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
 
 ACTION_SIZE = 2
@@ -62,34 +54,19 @@ class Policy(eqx.Module):
     log_std: ActionVector
     normalisation: Normalisation
     """Normalisation of the observations."""
-    gaits: GaitTable | None
-    """Gaits to which the networks' outputs are added, with references in the observation's units;
-    not trained."""
 
     @classmethod
-    def create(
-        cls,
-        key: PRNGKeyArray,
-        config: PolicyConfig,
-        observations: int,
-        gaits: GaitTable | None = None,
-    ) -> "Policy":
-        """Initialize a policy.
-
-        For all observations, its mean action is close to that of the gait, or to 0 without gaits.
-        """
+    def create(cls, key: PRNGKeyArray, config: PolicyConfig, observations: int) -> "Policy":
+        """Initialize a policy whose mean action is close to 0 for all observations."""
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
             LinearLayer.create(hidden, config.units, config.width, 2**0.5),
-            # A small gain, so that the initial correction is close to 0.
+            # A small gain, so that the initial mean action is close to 0.
             LinearLayer.create(output, config.width, ACTION_SIZE, 0.01),
         )
-        log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std))
-        table = jax.tree.map(jnp.asarray, gaits)
-        return cls(
-            net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations), table
-        )
+        log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std), jnp.float32)
+        return cls(net, log_std, Normalisation.create(observations))
 
     def init(self) -> PolicyMemory:
         """Return an empty memory."""
@@ -107,7 +84,7 @@ class Policy(eqx.Module):
     ) -> tuple[PolicyMemory, ActionVector]:
         """Return the new memory and the mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
-        return memory, self._mean(memory.hidden) + self._gait(observation)
+        return memory, self._mean(memory.hidden)
 
     def sequence(
         self,
@@ -118,20 +95,10 @@ class Policy(eqx.Module):
         """Return the outputs of `step` over a sequence. The memory is cleared before each step with
         `is_first` set."""
         hidden = self.net.lstm.sequence(memory, self.normalisation(observation), is_first)
-        return self._mean(hidden) + jax.vmap(self._gait)(observation)
+        return self._mean(hidden)
 
     def _mean(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time actions"]:
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
-
-    def _gait(self, observation: ObservationVector) -> Array:
-        """Return the action of the gait for the observed reference and phase before the tanh, or 0
-        without gaits."""
-        if self.gaits is None:
-            return jnp.zeros_like(self.log_std)
-        gaits = jax.lax.stop_gradient(self.gaits)
-        # The observation ends with the sine and cosine of the phase.
-        age = jnp.argmax(phases(gaits.gait_actions) @ observation[-2:])
-        return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
         """Return the policy with its normalization updated by observations."""
@@ -222,42 +189,7 @@ class ActorCritic(eqx.Module):
 
 def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
     """Return the leaves of a policy by their names in files, e.g. ``net.lstm.kernel``."""
-    named = {}
-    for path, leaf in jax.tree_util.tree_flatten_with_path(policy)[0]:
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
-        named[STORED_NAMES.get(name, name)] = leaf
-    return named
-
-
-STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
-"""Names in files that differ from names in the code, for compatibility with earlier versions."""
-
-
-def policy_memory(policy: Policy) -> dict[str, int]:
-    """Return the memory use of a policy or a stack of policies as JSON: weights and optimizer,
-    without critic and rollouts."""
-    count = math.prod(policy.log_std.shape[:-1])
-    leaves = jax.tree.leaves(policy)
-    weights = sum(leaf.size for leaf in leaves) // count
-    size = sum(leaf.nbytes for leaf in leaves) // count
-    # Adam stores two moments per weight.
-    optimiser = 2 * size
     return {
-        "policies": count,
-        "weights": weights,
-        "weights_bytes": size,
-        "optimiser_bytes": optimiser,
-        "total_weights_bytes": count * size,
-        "total_bytes": count * (size + optimiser),
+        jax.tree_util.keystr(path, simple=True, separator="."): leaf
+        for path, leaf in jax.tree_util.tree_flatten_with_path(policy)[0]
     }
-
-
-def describe_memory(memory: Mapping[str, int]) -> str:
-    """Format the result of `policy_memory` as one line of text."""
-    count = f"{memory['policies']} policies" if memory["policies"] > 1 else "1 policy"
-    return (
-        f"memory: {count} of {memory['weights']:,} weights, "
-        f"{memory['weights_bytes'] / 1e3:.0f} kB each, "
-        f"{memory['total_weights_bytes'] / 1e3:.0f} kB in total; "
-        f"{memory['total_bytes'] / 1e3:.0f} kB during training"
-    )

@@ -2,13 +2,11 @@
 updates.
 
 Inputs and values of the networks are normalized by their running mean and standard deviation. The
-evaluated policy is an average over the last updates. With `relabelling`, each rollout is also used
-for other references, whose rewards can be computed. All functions are pure and train a single
+evaluated policy is an average over the last updates. All functions are pure and train a single
 agent; `vmap` adds agents.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -29,36 +27,28 @@ from softfin.learning.rollout import (
     start_episodes,
 )
 from softfin.task.references import References
-from softfin.task.task import ForceTracking, RewardTerms
+from softfin.task.task import ForceTracking
 
 RECENT_UPDATES = 4
 """Number of rollouts over which values are normalized; older values are forgotten, because values
 increase as the policy learns."""
 
-MAX_LOG_RATIO = 20.0
-"""Upper limit of the logarithm of a probability ratio."""
-
 PerStep = Float[Array, "time environments"]
 
 
 class PPOConfig(Configuration):
-    """Configuration of LSTM-PPO. The defaults are tuned for the paper's number of steps, which
-    allows only a few tens of updates."""
+    """Configuration of LSTM-PPO."""
 
-    num_envs: PositiveInt = 16
+    num_envs: PositiveInt = 64
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 15
     """Number of actions per environment and update, whole cycles of the clock; gradients are
     propagated through all of them."""
-    num_epochs: PositiveInt = 10
+    num_epochs: PositiveInt = 4
     """Number of passes over each rollout."""
-    relabelling: NonNegativeFloat = 0.0
-    """Root mean square distance from the references of a rollout to the other references for which
-    it is also used (hindsight), divided by the root mean square force error of the rollout [-]. 0
-    for no other references, as in the paper."""
     num_minibatches: PositiveInt = 8
     """Number of updates per epoch. Each minibatch contains complete sequences of
-    num_envs / num_minibatches environments, and as many relabelled sequences."""
+    num_envs / num_minibatches environments."""
     learning_rate: PositiveFloat = 3e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
@@ -156,7 +146,6 @@ class PPO:
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """Collect a rollout and train on it."""
-        assert agent.networks is not None
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
         cycles = self.config.num_steps // len(self.task.config.clock.ticks)
@@ -170,7 +159,7 @@ class PPO:
             rollout.privileged_observation, batch.target, recent
         )
         networks = ActorCritic(networks.policy, critic)
-        learners, learning = self._learn(agent, networks, rollout, learn_key)
+        learners, learning = self._learn(agent, networks, batch, learn_key)
         networks, averaged, optimiser = learners
         # Updated after training: with other normalized observations, the ratios of probabilities
         # would not start at 1.
@@ -190,11 +179,9 @@ class PPO:
         value = critic(rollout.privileged_observation)
         next_value = critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        # Later terms of an advantage are multiplied by the weights of their actions, because the
-        # policy would rarely take some of these actions for a relabelled reference (Munos et al.
-        # 2016).
-        traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
-        advantage = advantages(reward, value, next_value, rollout.truncated, discount, traces)
+        advantage = advantages(
+            reward, value, next_value, rollout.truncated, discount, self.config.gae_lambda
+        )
         normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         target = advantage + value
         return Batch(rollout, normalised, target), {
@@ -222,12 +209,10 @@ class PPO:
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
         # The objective is min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A), with the ratio of
-        # probabilities and the advantage A. The ratio is kept finite, so that its product with a
-        # weight of 0 is 0.
-        ratio = jnp.exp(jnp.minimum(log_ratio, MAX_LOG_RATIO))
+        # probabilities and the advantage A.
+        ratio = jnp.exp(log_ratio)
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
-        gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
-        objective = jnp.mean(rollout.weight * gain)
+        objective = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
         value_loss = networks.critic.loss(rollout.privileged_observation, batch.target)
         loss = (
             -objective
@@ -236,75 +221,24 @@ class PPO:
         )
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
         # E[ratio - 1 - log ratio] is an estimate of the KL divergence that is never negative.
-        kl = jnp.mean(rollout.weight * (ratio - 1 - log_ratio))
+        kl = jnp.mean(ratio - 1 - log_ratio)
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
-    def relabelled(
-        self,
-        policy: Policy,
-        rollout: Rollout,
-        start: PolicyMemory,
-        references: References,
-        key: PRNGKeyArray,
-    ) -> Rollout:
-        """Return the rollout together with a copy for other references.
-
-        The reward can be computed for any reference (hindsight: Andrychowicz et al. 2017; for
-        policy gradients: Rauber et al. 2019). The weight of an action of the copy is its
-        probability for the other reference, divided by that for the actual one, and at most 1.
-        Their ratios are relative to the policy for the other reference, so that clipping works as
-        usual (Hilton et al. 2022). The reward treats the other reference as if it had been the
-        target during the complete window.
-        """
-        if not self.config.relabelling:
-            return rollout
-        spread = self.config.relabelling * jnp.sqrt(jnp.mean(rollout.force_error**2, axis=(0, 1)))
-        wanted = rollout.reference + spread * jax.random.normal(key, rollout.reference.shape[1:])
-        reference = jax.vmap(References.nearest, in_axes=(0, 1), out_axes=1)(references, wanted)
-        shift = reference - rollout.reference
-        force_error = rollout.force_error - shift
-        # Only the force error depends on the reference; all other terms of the reward cancel.
-        change = RewardTerms(*(jnp.zeros_like(force_error) for _ in RewardTerms._fields))
-        change = change._replace(error=jnp.abs(force_error) - jnp.abs(rollout.force_error))
-        observation = self.task.shifted(rollout.observation, shift)
-        mean = _replay(policy, start, observation, rollout.is_first)
-        log_prob = policy.log_prob(mean, rollout.pre_tanh_action)
-        other = rollout._replace(
-            observation=observation,
-            log_prob=log_prob,
-            reward=rollout.reward + self.task.config.reward.value(change),
-            reference=reference,
-            force_error=force_error,
-            privileged_observation=self.task.shifted(rollout.privileged_observation, shift),
-            next_privileged_observation=self.task.shifted(
-                rollout.next_privileged_observation, shift
-            ),
-            weight=jnp.exp(jnp.minimum(log_prob - rollout.log_prob, 0)),
-        )
-        both: Rollout = jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), rollout, other)
-        return both
-
     def _learn(
-        self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
+        self, agent: AgentState, networks: ActorCritic, batch: Batch, key: PRNGKeyArray
     ) -> tuple[Learners, Metrics]:
         """Run all epochs of minibatches on a rollout."""
         config = self.config
         optimiser = self._optimiser()
-        behaviour = agent.networks
-        assert behaviour is not None
         entropy_coef = jnp.asarray(config.entropy_coefs(self.num_updates)(agent.num_updates))
         # Weight of the newest policy in the exponential moving average, per optimizer step.
         newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
         memories = agent.env_state.memories
-        references = agent.env_state.states.references
 
-        def minibatch(
-            batch: Batch, carry: Learners, chosen: Int[Array, "some"]
-        ) -> tuple[Learners, Metrics]:
+        def minibatch(carry: Learners, chosen: Int[Array, "some"]) -> tuple[Learners, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
-            # Sequence num_envs + k is the relabelled copy of sequence k.
-            start = jax.tree.map(lambda x: x[chosen % config.num_envs], memories)
+            start = jax.tree.map(lambda x: x[chosen], memories)
             gradient, metrics = jax.grad(self.loss, has_aux=True)(
                 networks, part, start, entropy_coef
             )
@@ -315,16 +249,8 @@ class PPO:
             return (networks, averaged, state), metrics
 
         def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
-            order_key, relabel_key = jax.random.split(key)
-            # Each epoch uses new references, and advantages from the policy and critic before the
-            # update.
-            extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
-            order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(
-                config.num_minibatches, -1
-            )
-            return jax.lax.scan(
-                partial(minibatch, self.batch(behaviour.critic, extended)[0]), carry, order
-            )
+            order = jax.random.permutation(key, config.num_envs)
+            return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
 
         start = (networks, agent.policy, agent.optimiser)
         learners, metrics = jax.lax.scan(epoch, start, jax.random.split(key, config.num_epochs))
@@ -351,11 +277,11 @@ def advantages(
     next_value: PerStep,
     truncated: Bool[Array, "time environments"],
     discount: float,
-    gae_lambda: PerStep | float,
+    gae_lambda: float,
 ) -> PerStep:
     """Return the generalized advantage estimates (Schulman et al. 2016).
 
-    A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t
+    A_t = d_t + discount lambda A_{t+1},  d_t = r_t + discount V'_t - V_t
 
     V' is the value of the state after the action and before any reset. A truncated episode could
     have continued, so it is bootstrapped with V', and only the sum over later errors ends.

@@ -38,10 +38,10 @@ class EnvState(NamedTuple):
 class AgentState(NamedTuple):
     """State of the training of one policy between updates."""
 
-    networks: ActorCritic | None
-    """Networks that act and learn; None if `policy` acts and learns."""
+    networks: ActorCritic
+    """Networks that act and learn."""
     policy: Policy
-    """Policy that is evaluated and saved."""
+    """Policy that is evaluated and saved: an average over the last updates."""
     optimiser: PyTree
     env_state: EnvState
     key: PRNGKeyArray
@@ -70,8 +70,6 @@ class Rollout(NamedTuple):
     log_prob: BatchScalars
     """Log-density of the action before the tanh."""
     reward: BatchScalars
-    reference: Float[Array, "*batch 2"]
-    """Observed reference [N]."""
     force_error: Float[Array, "*batch 2"]
     """Force error F_e over the window [N]."""
     privileged_observation: PrivilegedBatch
@@ -82,9 +80,6 @@ class Rollout(NamedTuple):
     """Whether the environment was reset just before the action."""
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
-    weight: BatchScalars
-    """Weight of the transition; less than 1 for a relabelled reference with which the policy would
-    be less likely to take this action."""
 
 
 def start_episodes(
@@ -151,13 +146,11 @@ def _act(
         pre_tanh_action=pre_tanh_action,
         log_prob=policy.log_prob(mean, pre_tanh_action),
         reward=outcome.reward,
-        reference=env_state.states.reference,
         force_error=outcome.force_error,
         privileged_observation=jax.vmap(task.privileged_observation)(env_state.states),
         next_privileged_observation=jax.vmap(task.privileged_observation)(states),
         is_first=env_state.is_first,
         truncated=nowhere,
-        weight=jnp.ones_like(outcome.reward),
     )
     return EnvState(states, memories, nowhere), step
 
@@ -192,7 +185,6 @@ def evaluate_policy(
 ) -> PolicyEvaluation:
     """Run one episode from rest for each reference, all in parallel; references are constant."""
     count = len(references)
-    window = task.config.window_ticks
     clock = task.config.clock
     states = jax.vmap(task.reset)(
         jax.random.split(key, count), References(references, references, None)
@@ -215,8 +207,8 @@ def evaluate_policy(
     )
     # Each action is padded to the length of the longest one; the series contains only valid ticks.
     series = jnp.swapaxes(drop_padding(forces, actions, clock), 0, 1)
-    error = moving_error(series, references[:, None], window)
-    average = moving_average(series, window)
+    error = moving_error(series, references[:, None], clock.window_ticks)
+    average = moving_average(series, clock.window_ticks)
     # A distance above 1 is out of distribution.
     outside = None if plant is None else (distances > 1).mean(axis=0)
     return PolicyEvaluation(error, average.std(axis=-2), outside)

@@ -1,131 +1,169 @@
-"""Trains one deterministic policy per seed and cell, for a plant and a configuration.
+"""Trains one policy per cell by LSTM-PPO, all in one compiled program.
 
-All agents of a run are trained in one compiled program. A resumed run ends with the same weights as
-an uninterrupted run.
+The policies do not exchange data, so each one depends only on its seed and cell.
 """
 
-from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Key
 
+from softfin.core.compilation import jit
+from softfin.core.errors import RunError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
-from softfin.core.progress import Progress
-from softfin.core.quantities import Limits
-from softfin.gaits.force_map import empty_map, find_force_map
-from softfin.gaits.gait import FinForces, ForceMap
-from softfin.gaits.reachable import Reachable
-from softfin.gaits.simulate import Survey
-from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.run import (
-    TrainingResult,
-    TrainingRun,
-    keep_best,
-    summary,
-    with_keys,
-    without_keys,
-)
-from softfin.storage.run_directory import RunDirectory
+from softfin.core.plant_identity import jit_argument
+from softfin.core.quantities import AXES, AnyArray, Limits
+from softfin.core.randomness import named_key
+from softfin.gaits.reachable import Cells, Reachable
+from softfin.gaits.simulate import ReportSearch
+from softfin.learning.configuration import TrainConfig, evaluation_references, training_cells
+from softfin.learning.policy import Policy
+from softfin.learning.ppo import PPO
+from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, evaluate_policy
+from softfin.task.references import References, stack_references
+from softfin.task.task import ForceTracking, TaskConfig
+
+PerCell: TypeAlias = Float[np.ndarray, "cells"]
+Candidates: TypeAlias = tuple[Policy, PolicyEvaluation]
+"""Policies and their evaluations; leaves have a leading axis of cells."""
 
 
-def train(
+class TrainedPolicies(NamedTuple):
+    """Policies of a finished run."""
+
+    config: TrainConfig
+    task: TaskConfig
+    """Task of the configuration, scaled by the size of the fin."""
+    cells: Cells
+    reachable: Reachable
+    limits: Limits
+    policies: Policy
+    """Policy of each cell with the lowest error; leaves ``(cells, ...)``."""
+    references: Float[np.ndarray, "cells references 2"]
+    """Evaluation references, each moved to the nearest reachable force [N]."""
+    evaluation: PolicyEvaluation
+    """Evaluation of these policies, ``(cells, references, 2)``."""
+    log: list[JsonObject]
+    """Metrics of each update, as means over the cells."""
+
+
+def train_policies(
     plant: Plant,
     config: TrainConfig,
-    seeds: Sequence[int],
-    run_directory: RunDirectory,
-    progress: Progress | None = None,
-    forces: FinForces | None = None,
-) -> TrainingResult:
-    """Train a policy for each seed and cell; resume from the checkpoint in `run_directory`, if any.
-
-    If policies start from gaits and `forces` contains none, the fin is mapped first.
+    reachable: Reachable,
+    seed: int = 0,
+    report: ReportSearch = lambda *_: None,
+) -> TrainedPolicies:
+    """Train a policy for each cell of references that the fin can reach.
 
     Raises:
-        ConfigurationError: `check` failed.
-        RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
+        ConfigurationError: the fin can produce none of the references.
+        RunError: a loss or a force is not finite.
     """
-    forces = checked_forces(plant, config, seeds, run_directory, progress, forces)
-    run = TrainingRun(plant, config, tuple(seeds), forces)
-    state = run.start()
-    done = 0
-    steps_per_update = run.config.learning.steps_per_update
-    if (resumed := run_directory.load(without_keys(state))) is not None:
-        state = with_keys(resumed[0], state)
-        done = resumed[1]["updates"]
-    state = state._replace(agents=run.over_devices(state.agents))
-    record = run_directory.log(rewind_to=done * steps_per_update)
-    count = min(config.num_evaluations, config.num_updates)
-    # Evenly spaced updates, including the last one.
-    due = {round(config.num_updates * (i + 1) / count) for i in range(count)}
-    while done < config.num_updates:
-        done += 1
-        agents, metrics = run.update(state.agents, done)
-        state = state._replace(agents=agents)
-        scalars = run.by_seed(metrics)
-        if done in due:
-            evaluation = run.evaluate(agents.policy, done)
-            state = keep_best(state, evaluation)
-            scalars |= run.by_seed(summary(evaluation))
-        # Written before the checkpoint: a resumed run can remove surplus entries, but cannot
-        # restore missing ones.
-        record.write(done * steps_per_update, **scalars)
-        if done in due:
-            run_directory.save(without_keys(state), {"updates": done})
-        if progress is not None:
-            progress(
-                f"train {config.controller}", done / config.num_updates, run.note(metrics, state)
-            )
-    policies, evaluation = run.result(state)
     limits = Limits(*map(float, plant.limits))
-    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, run.reachable)
-
-
-def checked_forces(
-    plant: Plant,
-    config: TrainConfig,
-    seeds: Sequence[int],
-    run_directory: RunDirectory,
-    progress: Progress | None,
-    forces: FinForces | None,
-) -> FinForces | None:
-    """Check a run with `check`, and return the forces of the fin; find gaits for them if policies
-    start from gaits and there are none."""
-    check(plant, config, seeds, forces)
-    if forces is None and config.begins_as_gaits:
-        forces = find_gaits(plant, config, run_directory, progress)
-        check(plant, config, seeds, forces)
-    return forces
-
-
-def find_gaits(
-    plant: Plant,
-    config: TrainConfig,
-    run_directory: RunDirectory,
-    progress: Progress | None,
-    surveyed: Survey | None = None,
-) -> FinForces:
-    """Find gaits for all references of a configuration, or load those of an interrupted run.
-
-    After a survey, references that it found to be unreachable get no gaits.
-    """
-    box = config.training_range
-    # Without a survey, only the shapes matter here, and the box determines them.
-    region = Reachable(np.zeros(2), np.ones(config.gradient.map.survey.directions))
-    if surveyed is not None:
-        region = surveyed.reachable
-        box = box.clipped(*map(np.array, region.bounds()))
-    values = {"box": box.model_dump(), "clock": config.task.clock.model_dump()}
-    settings = config.gradient.map.merged(values, "task")
-    part = run_directory.part("map")
-    coarse = settings.empty_table(region)
-    like = empty_map(
-        coarse.halved(settings.gaits.halvings), settings.survey.directions, settings.clock
+    plant = jit_argument(plant)
+    cells = training_cells(config, reachable)
+    task = config.task.scaled(reachable.size)
+    fitted = config.model_copy(update={"task": task})
+    references = evaluation_references(config, cells, reachable)
+    keys = jnp.stack([named_key(seed, f"train/{cell}") for cell in cells])
+    agents = _start(fitted, plant, keys, stack_references(cells, reachable))
+    best: Candidates | None = None
+    log = []
+    for update in range(1, config.num_updates + 1):
+        agents, metrics = _update(fitted, plant, agents)
+        loss = np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"])
+        _check_finite("the loss", loss, cells, update)
+        entry = {"step": update * config.ppo.steps_per_update, **_means(metrics)}
+        if _is_evaluated(config, update):
+            evaluation = _evaluate(task, plant, agents.policy, jnp.asarray(references))
+            _check_finite("the force in the evaluation", _errors(evaluation), cells, update)
+            best = _better(best, (agents.policy, evaluation))
+            entry |= _means(_scores(evaluation))
+        log.append(entry)
+        errors = "/".join(f"{entry[f'error_{axis}_n']:.2g}" for axis in AXES)
+        report(update / config.num_updates, f"error {errors} N while exploring")
+    assert best is not None
+    policies, evaluation = best
+    return TrainedPolicies(
+        config, task, cells, reachable, limits, policies, references, evaluation, log
     )
-    if (resumed := part.load(like)) is not None:
-        stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
-        return stored.forces
-    report = None if progress is None else partial(progress, "map")
-    found = find_force_map(plant, settings, report, surveyed)
-    part.save(found, {})
-    return found.forces
+
+
+@jit("none")
+def _start(
+    config: TrainConfig, plant: Plant, keys: Key[Array, "cells"], references: References
+) -> AgentState:
+    return jax.vmap(_learner(config, plant).init)(keys, references)
+
+
+@eqx.filter_jit
+def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
+    return jax.vmap(_learner(config, plant).update)(agents)
+
+
+@eqx.filter_jit
+def _evaluate(
+    task: TaskConfig, plant: Plant, policies: Policy, references: Array
+) -> PolicyEvaluation:
+    # The key is always the same, so that policies of different updates and seeds can be compared.
+    evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=named_key(0, "score"))
+    return jax.vmap(evaluate)(policies, references)
+
+
+def _learner(config: TrainConfig, plant: Plant) -> PPO:
+    task = ForceTracking(plant, config.task)
+    return PPO(task, config.ppo, config.policy, config.num_updates)
+
+
+def _is_evaluated(config: TrainConfig, update: int) -> bool:
+    """Whether the policies are evaluated after an update: evenly spaced, the last one included."""
+    count = config.num_evaluations
+    return update * count // config.num_updates > (update - 1) * count // config.num_updates
+
+
+def _check_finite(what: str, values: PerCell, cells: Cells, update: int) -> None:
+    for cell, value in zip(cells, values, strict=True):
+        if not np.isfinite(value):
+            raise RunError(
+                f"train: {what} is NaN or infinite in update {update}, cell {cell}; lower "
+                "ppo.learning_rate, or check the plant"
+            )
+
+
+def _better(best: Candidates | None, new: Candidates) -> Candidates:
+    """Return for each cell the policy with the lower mean error, as NumPy arrays."""
+    if best is None:
+        best = new
+    is_better = _errors(new[1]) < _errors(best[1])
+
+    def choose(new: AnyArray, old: AnyArray) -> np.ndarray:
+        return np.asarray(np.where(is_better.reshape(-1, *[1] * (new.ndim - 1)), new, old))
+
+    chosen: Candidates = jax.tree.map(choose, new, best)
+    return chosen
+
+
+def _errors(evaluation: PolicyEvaluation) -> PerCell:
+    """Return the mean error of each policy over its references and both axes [N]."""
+    return np.asarray(np.asarray(evaluation.error).mean(axis=(1, 2)))
+
+
+def _scores(evaluation: PolicyEvaluation) -> Metrics:
+    """Return the mean error of each policy over its references, and for ensembles the mean fraction
+    of actions outside the training data."""
+    x, y = np.moveaxis(np.asarray(evaluation.error).mean(axis=1), -1, 0)
+    scores: Metrics = {"score_x_n": x, "score_y_n": y}
+    if evaluation.out_of_distribution_fraction is not None:
+        outside = np.asarray(evaluation.out_of_distribution_fraction)
+        scores["score_out_of_distribution"] = outside.mean(axis=-1)
+    return scores
+
+
+def _means(metrics: Metrics) -> dict[str, float]:
+    return {name: float(np.mean(values)) for name, values in metrics.items()}

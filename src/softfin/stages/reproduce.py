@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
@@ -31,9 +30,9 @@ from softfin.evaluation.headline import headline
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
 from softfin.evaluation.scores import settled_band
-from softfin.learning.controllers import Curve, learning_figure
+from softfin.learning.controllers import Curve, learning_curve, learning_figure
 from softfin.stages.collect import collect
-from softfin.stages.controllers import find_gaits, map_forces, train
+from softfin.stages.controllers import map_forces, train
 from softfin.stages.evaluation import check_limits
 from softfin.stages.explore import explore, is_shown
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
@@ -211,13 +210,11 @@ class _Reproduction:
     @property
     def count(self) -> int:
         """Number of stages."""
-        count = 1 + len(self.config.policies)
+        # The evaluation, the map, and a training for each kind and seed.
+        count = 2 + len(self.config.policies) * len(self.seeds)
         if not is_surrogate(self.plant):
             # Collect, fit, and evaluate in the surrogate.
             count += 3
-        if self.config.gaits is not None:
-            # The map, and its gaits as a controller.
-            count += 2
         if self.config.evaluate.trim is not None:
             count += 1
         return count
@@ -254,40 +251,29 @@ class _Reproduction:
         return scores
 
     def make_controllers(self) -> None:
-        """Produce the map, its gaits as a controller, and the policies of all seeds; policies of
-        one kind are trained in one program."""
+        """Produce the controller of gaits, and policies of each kind from each seed."""
         surrogate = str(self.surrogate)
-        mapped = None
-        if (settings := self.config.map) is not None:
-            mapped = self.out / "map"
-            what = (
-                "the mean forces that the fin can produce, and the gaits (six actions each) that "
-                "produce them in the surrogate"
-            )
-            self.stage("map", what, mapped, map_forces, surrogate, mapped, settings)
-            gaits = self.out / "gaits"
-            what = "the controller gaits: these gaits as a table, blended between its nodes"
-            self.stage("gaits", what, gaits, find_gaits, surrogate, gaits, force_map=mapped)
+        gaits = self.out / "gaits"
+        what = (
+            "the controller gaits: the mean forces that the fin can produce in the surrogate, and "
+            "the gaits (six actions each) that produce them"
+        )
+        self.stage("map", what, gaits, map_forces, surrogate, gaits, self.config.gaits)
         for kind, config in self.config.policies.items():
-            algorithm = "gradients through it" if config.algorithm == "gradient" else "LSTM-PPO"
-            added = " that add to the gaits" if config.begins_as_gaits else ""
-            what = (
-                f"the controller {kind}: recurrent policies{added}, trained in the surrogate by "
-                f"{algorithm}, {config.steps:,} actions each, from {self.config.seeds} seeds"
-            )
-            given = surrogate, self.out / kind, config
-            options = {
-                "force_map": mapped if config.begins_as_gaits else None,
-                "seeds": self.seeds,
-                "resume": True,
-            }
-            self.stage(f"train {kind}", what, self.out / kind, train, *given, **options)
+            policies = "one recurrent policy" if kind == "single" else "a recurrent policy per cell"
+            for seed in self.seeds:
+                out = self.controller(kind, seed)
+                what = (
+                    f"the controller {kind}: {policies}, trained in the surrogate by LSTM-PPO, "
+                    f"{config.steps:,} actions each, seed {seed}"
+                )
+                self.stage(f"train {out.name}", what, out, train, surrogate, out, config, seed=seed)
 
     def controller(self, kind: str, seed: int) -> Path:
         """Return the folder of the controller trained from a seed; there is only one for gaits."""
         if kind == "gaits" or len(self.seeds) == 1:
             return self.out / kind
-        return self.out / kind / f"seed-{seed}"
+        return self.out / f"{kind}-{seed}"
 
     def make_page(self) -> None:
         """Write the page for trying the controllers of the first seed, if it can simulate a plant
@@ -369,28 +355,21 @@ class _Reproduction:
 
     def learning_figures(self) -> dict[str, Figure]:
         """Draw the reward, and the error without exploration noise, over the training steps."""
-        logs = {
-            kind: read_training_log(self.out / kind / TRAINING_LOG / LOG)
-            for kind in self.config.policies
-        }
-        if not logs:
+        if not self.config.policies:
             return {}
-
-        def curves(*names: str) -> dict[str, list[Curve]]:
-            found: dict[str, list[Curve]] = {kind: [] for kind in logs}
-            for kind, seed in product(logs, self.seeds):
-                keys = [f"seed{seed}/{name}" for name in names]
-                entries = [entry for entry in logs[kind] if keys[0] in entry]
-                values = [float(np.mean([entry[key] for key in keys])) for entry in entries]
-                found[kind].append(([entry["step"] for entry in entries], values))
-            return found
-
+        rewards: dict[str, list[Curve]] = {}
+        errors: dict[str, list[Curve]] = {}
+        for kind in self.config.policies:
+            folders = [self.controller(kind, seed) for seed in self.seeds]
+            logs = [read_training_log(folder / TRAINING_LOG / LOG) for folder in folders]
+            rewards[kind] = [learning_curve(log, "reward") for log in logs]
+            errors[kind] = [learning_curve(log, "score_x_n", "score_y_n") for log in logs]
         return {
             "Mean reward per step during exploration": learning_figure(
-                curves("reward"), "mean reward per step [N]"
+                rewards, "mean reward per step [N]"
             ),
             "Mean error of the policies without exploration noise, over both axes": learning_figure(
-                curves("score_x_n", "score_y_n"), "error without noise [N]"
+                errors, "error without noise [N]"
             ),
         }
 

@@ -6,7 +6,6 @@ including the versions that wrote it. It is replaced by a rename, so a process k
 leaves either the old or the new checkpoint.
 """
 
-import copy
 import importlib.metadata
 import json
 import shutil
@@ -64,29 +63,22 @@ class RunDirectory:
             check_same(out, artifacts.read_json(finished), self.fingerprint)
             return
         artifacts.check_vacant(out, overwrite)
-        # This includes the checkpoints of the run's parts.
-        found = sorted(self.folder.rglob(CHECKPOINT))
+        checkpoint = self.folder / CHECKPOINT
         if resume:
             try:
-                for path in found:
-                    self._read(path)
+                if checkpoint.exists():
+                    self._read(checkpoint)
             except ArtifactError:
                 if not overwrite:
                     raise
                 shutil.rmtree(self.folder)
         elif self.folder.exists():
-            if not overwrite and found:
+            if not overwrite and checkpoint.exists():
                 raise ArtifactError(
                     f"{self.folder}: contains an unfinished run; continue with --resume, or "
                     "discard it with --overwrite"
                 )
             shutil.rmtree(self.folder)
-
-    def part(self, name: str) -> "RunDirectory":
-        """Return a folder within this one, for a part of the run with its own checkpoints."""
-        inner = copy.copy(self)
-        inner.folder = self.folder / name
-        return inner
 
     def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
@@ -153,16 +145,12 @@ class RunDirectory:
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, artifact: Path) -> None:
-        """Copy the training logs of the run and its parts to a finished artifact, with the run's
-        fingerprint."""
+        """Copy the training log to a finished artifact, with the run's fingerprint."""
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
-        for log in sorted(self.folder.rglob(LOG)):
-            kept = folder / log.parent.relative_to(self.folder)
-            kept.mkdir(parents=True, exist_ok=True)
-            for file in (log, *log.parent.glob("events.*")):
-                shutil.copy(file, kept)
+        for file in (*self.folder.glob(LOG), *self.folder.glob("events.*")):
+            shutil.copy(file, folder)
 
     def finish(self) -> None:
         """Remove the folder once the artifact is complete."""
