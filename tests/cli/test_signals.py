@@ -61,7 +61,7 @@ if PLACE == "message":
     cli._describe_error = interrupted(cli._describe_error)
 if PLACE == "end":
     builtins.late = Late()
-sys.argv[1:] = ["run"]
+sys.argv[1:] = ["run", "--arm"]
 cli.script()
 """
 

@@ -171,7 +171,7 @@ def _run(name: str, words: list[str]) -> None:
                 sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
                 raise SystemExit(0) from None
             command.check()
-            if "arm" in arguments.model_fields:
+            if getattr(command, "arm", False):
                 # Imported here, because most commands do not need the rig.
                 from softfin.rig.stop import undisturbed_after_stop
 

@@ -21,7 +21,7 @@ from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
-from softfin.rig.stop import SIGNAL_CHECK_S, interrupted_by_signals
+from softfin.rig.stop import SIGNAL_CHECK_S, ignored_termination, interrupted_by_signals
 from softfin.storage.paths import RIG_FILE
 
 PROVING = (
@@ -82,7 +82,7 @@ class RigStopArguments(CommandOptions):
     """Rig configuration file."""
 
     def __call__(self) -> None:
-        with contextlib.closing(Rig(load_rig(self.rig))) as rig:
+        with ignored_termination(), contextlib.closing(Rig(load_rig(self.rig))) as rig:
             rig.drive.switch_off()
         self.tell({"motor": "off"}, "the motor is off")
 

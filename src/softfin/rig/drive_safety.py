@@ -61,11 +61,15 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
     return try_until(clock, is_off, STOP_CONFIRMED_S, step_s)
 
 
+class PausedError(DeviceError):
+    """A test of the drive's own stop is not valid, because the computer paused."""
+
+
 def check_no_pause(silent_s: float, longest_s: float) -> None:
-    """Raise DeviceError if the stop test lasted longer than the limit for the drive [s], because
+    """Raise PausedError if the stop test lasted longer than the limit for the drive [s], because
     only a pause of the computer can cause this."""
     if silent_s > longest_s:
-        raise DeviceError(
+        raise PausedError(
             f"computer: paused for {silent_s:.1f} s during the stop test, so it is not valid; "
             "close other programs, then run the test again"
         )

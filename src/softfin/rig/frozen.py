@@ -19,8 +19,8 @@ class FrozenChannels:
         self, channels: Sequence[str], longest: float, optional: Collection[str] = ()
     ) -> None:
         """A channel is frozen after `longest` consecutive equal values, but at least
-        `FROZEN_RECORDS`. `optional` channels count only after their first value other than 0,
-        because a sensor may not measure them."""
+        `FROZEN_RECORDS`. `optional` channels count only after two different values other than
+        0, because a sensor may not measure them."""
         self._channels = np.array(channels)
         self._longest = max(longest, FROZEN_RECORDS)
         self._is_measured = ~np.isin(self._channels, list(optional))
@@ -30,7 +30,8 @@ class FrozenChannels:
     def put(self, values: Float[np.ndarray, " channels"]) -> None:
         """Register the values of a record."""
         self._equal = np.where(values == self._values, self._equal + 1, 1)
-        self._is_measured |= values != 0
+        before = np.nan_to_num(self._values)
+        self._is_measured |= (before != 0) & (values != 0) & (values != before)
         self._values = values
 
     def names(self) -> list[str]:

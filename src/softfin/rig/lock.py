@@ -120,7 +120,8 @@ def _has_open(process: int, path: Path) -> bool:
     """
     with contextlib.suppress(OSError):
         for descriptor in Path(f"/proc/{process}/fd").iterdir():
+            # Not by `stat`, which would hang for a file on a network drive that is gone.
             with contextlib.suppress(OSError):
-                if descriptor.samefile(path):
+                if descriptor.readlink() == path.resolve():
                     return True
     return False

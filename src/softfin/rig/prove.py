@@ -11,6 +11,7 @@ from pathlib import Path
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.config import RigConfig
 from softfin.rig.device import Drive
+from softfin.rig.drive_safety import PausedError
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
 
 
@@ -18,11 +19,14 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
     """Withhold heartbeats from the open drive, with its motor powered at standstill, and save the
     proof in the rig's record.
 
-    Raises DeviceError if the drive does not stop by itself; an earlier proof is then removed.
+    Raises PausedError if the test is not valid, and DeviceError if the drive does not stop by
+    itself; an earlier proof is then removed.
     """
     record = load_record(config.file)
     try:
         faulted_after_s = drive.prove_stop()
+    except PausedError:
+        raise
     except SoftfinError as error:
         try:
             save_record(config.file, record.model_copy(update={"stop_proof": None}))

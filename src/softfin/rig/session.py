@@ -363,7 +363,9 @@ class Session:
     def _leave(self, state: SessionState) -> None:
         """Change to a state in which the fin does not move."""
         if self.state == "active":
-            self._counted.update(self.machine.counters())
+            # Nothing may keep a stopped machine from being closed.
+            with contextlib.suppress(Exception):
+                self._counted.update(self.machine.counters())
         self.state = state
 
     def _unwatch(self) -> None:

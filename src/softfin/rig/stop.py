@@ -104,6 +104,20 @@ def undisturbed_after_stop() -> Iterator[None]:
 
 
 @contextmanager
+def ignored_termination() -> Iterator[None]:
+    """Ignore SIGTERM, which a second ``rig stop`` sends to the first; has an effect only in the
+    main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[_Handlers]:
     """Install a handler for the stop signals; yields the previous handlers. Has an effect only in
     the main thread."""

@@ -11,6 +11,7 @@ from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import position_range
 from softfin.rig.devices.dynamixel.drive import Dynamixel
 from softfin.rig.devices.dynamixel.emulated_servo import MOUNTED_TICKS
+from softfin.rig.devices.dynamixel.link import NoAnswer
 from softfin.rig.devices.dynamixel.protocol import (
     HardwareError,
     Instruction,
@@ -398,7 +399,7 @@ def test_a_stop_with_late_answers_neither_reverses_the_fin_nor_is_unconfirmed(de
         made.loop(0.05)
         start = highest = made.fin.now().angle
         thread = made.clock.spawn(made.drive.stop, "stop")
-        while thread.is_alive():
+        while thread.is_alive() or made.fin.now().velocity:
             made.clock.sleep(0.001)
             angle = made.fin.now().angle
             assert angle > highest - 0.03
@@ -708,6 +709,84 @@ def test_switch_off_works_if_another_program_receives_half_of_the_answers(monkey
         assert made.servo.get(TORQUE) == 0
         # It coasts at 10 rad/s2.
         assert made.fin.now().angle - angle < 0.6
+
+
+def deaf(monkeypatch, drive, is_deaf=lambda: True):
+    """Let a second program take the answers of a drive and keep its port."""
+    transact = drive.link._transact
+
+    def lose(*request):
+        if is_deaf():
+            raise NoAnswer("no answer")
+        return transact(*request)
+
+    monkeypatch.setattr(drive.link, "_transact", lose)
+    monkeypatch.setattr(drive.device_lock, "take_over", lambda _: False)
+
+
+def test_without_answers_the_torque_goes_off_and_is_reported_as_unconfirmed(monkeypatch):
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, 1.0))
+        made.loop(0.1)
+        other = Dynamixel(made.drive.config, made.clock)
+        deaf(monkeypatch, other)
+        made.servo.received.clear()
+        with pytest.raises(DeviceError, match="did not confirm that its motor is off"):
+            other.switch_off()
+        assert made.servo.get(TORQUE) == 0
+        # Braking needs answers, and would delay the stop.
+        writes = {int.from_bytes(packet.data[:2], "little") for packet in made.servo.received}
+        assert writes == {TORQUE.address}
+
+
+def test_a_motor_is_not_off_if_the_last_answers_are_missing(monkeypatch):
+    with bench() as made:
+        other = Dynamixel(made.drive.config, made.clock)
+        confirmed = []
+        deaf(monkeypatch, other, lambda: len(confirmed) > 3)
+        is_powered = other._is_powered
+
+        def ask(*answer_s):
+            confirmed.append(is_powered(*answer_s))
+            return confirmed[-1]
+
+        monkeypatch.setattr(other, "_is_powered", ask)
+        with pytest.raises(DeviceError, match="did not confirm that its motor is off"):
+            other.switch_off()
+
+
+def test_a_stop_without_a_new_status_leaves_a_fin_at_its_goal():
+    with enabled(quick_stop_rad_s2=30.0) as made:
+        made.drive.command(Target(0.5, math.pi))
+        made.loop(0.1)
+        made.servo.transmit = lambda answer: () if is_status(answer) else (answer,)
+        made.clock.sleep(0.07)
+        assert made.fin.now().angle == pytest.approx(0.5, abs=0.01)
+        made.drive.stop()
+        assert made.fin.now().angle == pytest.approx(0.5, abs=0.01)
+        assert made.drive.stop_unconfirmed is None
+
+
+def test_a_stop_without_a_new_status_after_a_new_target_switches_the_torque_off_at_once():
+    with enabled() as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.1)
+        # The fin turns round after the latest status.
+        made.drive.command(Target(-1.5, math.pi))
+        made.clock.sleep(0.06)
+        angle = made.fin.now().angle
+        made.servo.transmit = lambda answer: () if is_status(answer) else (answer,)
+        made.servo.received.clear()
+        made.drive.stop()
+        assert made.servo.get(TORQUE) == 0
+        assert made.drive.stop_unconfirmed is None
+        writes = [
+            int.from_bytes(packet.data[:2], "little")
+            for packet in made.servo.received
+            if packet.instruction == Instruction.WRITE
+        ]
+        assert protocol.PROFILE_ACCELERATION.address not in writes
+        assert made.fin.now().angle <= angle
 
 
 def test_a_servo_that_is_powered_again_or_silent_is_not_off():

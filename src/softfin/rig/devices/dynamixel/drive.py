@@ -53,7 +53,6 @@ SLOWEST_ANSWER_S = 0.005
 
 STOP_TIMEOUT_S = 3.0
 """Longest wait for another stop in progress [s]."""
-DISABLE_TIMEOUT_S = 0.3
 DISABLE_ATTEMPTS = 8
 """Maximum number of attempts to switch the torque off; each waits for up to two late answers."""
 LATE_ANSWER_S = 0.04
@@ -65,7 +64,7 @@ LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
 WATCHED_S = 0.3
 """Time for which softfin monitors the shaft after the servo has stopped by itself [s]."""
-MOVED_RAD = 0.05
+MOVED_RAD = 0.02
 """Maximum rotation of the shaft during the stop test [rad]; the fin may sway."""
 RESET_TIMEOUT_S = 1.0
 REFUSED = 3
@@ -330,7 +329,6 @@ class Dynamixel:
                 self.clock.sleep(silence_s)
                 silent_s = self.clock() - began
                 is_new = self._poll(0.02)
-                self._check_still(before)
                 if is_new and self._known_status().watchdog == WATCHDOG_TRIPPED:
                     check_no_pause(silent_s, longest_s)
                     self._watch_shaft(before)
@@ -512,26 +510,24 @@ class Dynamixel:
             return WATCHDOG_LINE
         return None
 
-    def _check_still(self, before: int) -> None:
-        """Raise DeviceError if the shaft has moved away from a position."""
-        moved_rad = self.units.angle(self._known_status().position) - self.units.angle(before)
+    def _watch_shaft(self, before: int) -> None:
+        """Raise DeviceError if the shaft leaves a position within `WATCHED_S`, or if it cannot be
+        read."""
+        is_read = False
+        moved_rad = 0.0
+        for _ in range(round(WATCHED_S / TICK_S)):
+            is_read = self._poll(0.02) or is_read
+            angle = self.units.angle(self._known_status().position)
+            moved_rad = max(moved_rad, angle - self.units.angle(before), key=abs)
+            self.clock.sleep(TICK_S)
+        if not is_read:
+            raise DeviceError(f"{self.link.name}: no answer after it stopped; check its cable")
         if abs(moved_rad) > MOVED_RAD:
             raise DeviceError(
                 f"servo: turned the fin by {moved_rad:+.2f} rad during the stop test, possibly due "
                 "to a firmware fault (bus watchdog with a homing offset); update its firmware with "
                 "DYNAMIXEL Wizard, and do not move the fin until this test passes"
             )
-
-    def _watch_shaft(self, before: int) -> None:
-        """Raise DeviceError if the shaft leaves a position within `WATCHED_S`, or if it cannot be
-        read."""
-        is_new = False
-        for _ in range(round(WATCHED_S / TICK_S)):
-            self.clock.sleep(TICK_S)
-            is_new = self._poll(0.02)
-            self._check_still(before)
-        if not is_new:
-            raise DeviceError(f"{self.link.name}: no answer after it stopped; check its cable")
 
     def _send_target(self) -> None:
         """Send the latest target; the caller holds the link's lock."""
@@ -633,27 +629,23 @@ class Dynamixel:
         is_brief = self._stop_failed
         # Answers may be late, e.g. because the computer is busy.
         longest_answer_s = ANSWER_S if is_brief else LATE_ANSWER_S
-        if self.clock() - self._time > 2 * TICK_S:
-            # The fin has moved on since the latest status.
-            self._poll()
+        is_fresh = self.clock() - self._time <= 2 * TICK_S or self._poll()
+        braking = self._braking_motion(is_fresh)
         attempts = REFUSED if is_brief else round(self._brake_time() / TICK_S)
+        # By the clock as well: at a port that hangs, each attempt takes far longer than a tick.
+        end = self.clock() + 2 * self._brake_time()
         is_braking = False
-        is_new = True
-        braking = b""
         ticks_at_rest = 0
         for _ in range(attempts):
-            status = self.status
-            if status is None:
-                # Opened again after a stop that was not confirmed: the watchdog has stopped it.
+            # Without a motion, only the torque goes off.
+            if braking is None or self.clock() > end:
                 break
-            if is_new:
-                # Do not reuse an old status: if only the answers are missing, the braking goal
-                # would move ahead.
-                braking = self._braking(self._present_position(status), status.velocity)
             if not is_braking:
                 is_braking = self._brake(braking)
             is_new = self._poll()
             status = self._known_status()
+            if is_new:
+                braking = self._braking(status.position, status.velocity)
             is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
             ticks_at_rest = ticks_at_rest + 1 if is_new and is_still else 0
             if ticks_at_rest >= 2 or (is_new and not status.torque):
@@ -675,6 +667,27 @@ class Dynamixel:
             self.clock.sleep(TICK_S)
         self._stop_failed = True
         self._trouble = UNCONFIRMED
+
+    def _braking_motion(self, is_fresh: bool) -> bytes | None:
+        """Return the motion that brakes from the latest status; None if it could turn the fin
+        somewhere else.
+
+        From a status that is not fresh, the position is extrapolated, at most to the servo's goal.
+        """
+        status = self.status
+        if status is None:
+            # Opened again after a stop that was not confirmed: the watchdog has stopped it.
+            return None
+        if is_fresh:
+            return self._braking(status.position, status.velocity)
+        if status.goal != self._goal:
+            # The servo may move in a different direction now.
+            return None
+        age_s = self.clock() - self._time
+        angle = self.units.angle(status.position) + self.units.velocity(status.velocity) * age_s
+        ends = sorted((status.position, status.goal))
+        position = min(max(self.units.position(angle), ends[0]), ends[1])
+        return self._braking(position, 0 if position in ends else status.velocity)
 
     def _braking(self, position: int, velocity: int) -> bytes:
         """Return the motion command that ends at the servo's stopping position."""
@@ -707,21 +720,14 @@ class Dynamixel:
     def _is_powered(self, answer_s: float = SETUP_ANSWER_S) -> bool:
         return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
 
-    def _present_position(self, status: Status) -> int:
-        """Extrapolate the servo's position from a status that may be old, at most to its goal."""
-        age_s = max(self.clock() - self._time, 0.0)
-        angle = self.units.angle(status.position) + self.units.velocity(status.velocity) * age_s
-        ends = sorted((status.position, status.goal))
-        return min(max(self.units.position(angle), ends[0]), ends[1])
-
     def _brake_foreign_motion(self) -> None:
         """Brake a servo that another program has powered, until it is at rest."""
         with suppress(DeviceError):
             setup.answer_everything(self.link)
         # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
         # power the motor.
-        self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
-        self._try_until(self._is_at_rest, self._brake_time())
+        if self._try_until(lambda: not self._is_powered() or self._brake_now(), 0.0):
+            self._try_until(self._is_at_rest, self._brake_time())
 
     def _brake_now(self) -> bool:
         """Brake a servo that another program has powered; return whether it has this goal."""
@@ -736,8 +742,7 @@ class Dynamixel:
         return try_until(self.clock, done, seconds, TICK_S)
 
     def _goes_off(self) -> bool:
-        with suppress(DeviceError):
-            self.link.write(protocol.TORQUE_ENABLE, 0)
+        self.link.write(protocol.TORQUE_ENABLE, 0)
         return not self._is_powered()
 
 

@@ -432,17 +432,18 @@ def time_own_stop(exchange: Exchange) -> float:
     exchange.send_heartbeat()
     last_heartbeat = exchange.clock()
     longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
-    while exchange.clock() - last_heartbeat <= longest:
+    silence = 0.0
+    while silence <= longest:
         # SYNC continues as in a run, so that only the missing heartbeats can stop the drive. After
         # the fault, the node may have left the operational state and no longer respond to SYNC, so
         # the state is read over SDO.
         exchange.sync_and_read(STATE_STEP_S)
         state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
+        silence = exchange.clock() - last_heartbeat
         if state is State.FAULT:
             code = exchange.status.emergency or newest_error(exchange.connection)
             if code != protocol.HOST_LOST:
                 raise DeviceError(f"drive faulted for another reason: {fault_line(code)}")
-            silence = exchange.clock() - last_heartbeat
             check_no_pause(silence, longest)
             return silence
         exchange.clock.sleep(STATE_STEP_S)
