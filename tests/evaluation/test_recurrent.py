@@ -38,7 +38,7 @@ class Same(eqx.Module):
     def act(self, state, measured, reference):
         actions, age = state
         action = jnp.tanh(
-            GAINS @ observation(TASK, measured.angle, reference, actions, age) + jnp.cos(age)
+            GAINS @ observation(TASK, measured.angle, reference, actions) + jnp.cos(age)
         )
         return (remember(actions, action), age + 1), action_to_command(PAPER_LIMITS, action)
 

@@ -70,5 +70,6 @@ def _wait(ray: Any, task: Any) -> JsonObject | Exception:
     try:
         outcome: JsonObject | Exception = ray.get(task)
     except ray.exceptions.RayError as error:
-        return RunError(str(error))
+        # The text ends with the error on the worker, after its traceback.
+        return RunError(str(error).strip().splitlines()[-1])
     return outcome
