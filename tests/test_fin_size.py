@@ -26,7 +26,7 @@ from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import TrainConfig, training_cells
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.task.references import stack_references
+from softfin.task.references import PAPER_CELLS, stack_references
 from softfin.task.task import ForceTracking
 from tests.control.test_disturbance_observer import Carrier
 from tests.plants import StrokeFin
@@ -134,6 +134,13 @@ def test_the_references_of_an_evaluation_are_six_that_the_fin_can_make(
 def test_the_references_are_the_papers_if_the_fin_can_make_them() -> None:
     assert default_references(None) == PAPER_REFERENCES
     assert default_references(PAPER_SIZED) == PAPER_REFERENCES
+
+
+def test_the_references_are_the_papers_if_the_controller_was_trained_for_these_only() -> None:
+    large = circle(7.2, (0, 0))
+    assert default_references(large, PAPER_CELLS) == PAPER_REFERENCES
+    everything = large.bounding_box()
+    assert default_references(large, (everything,)) == default_references(large)
 
 
 def test_a_small_fin_has_to_settle_in_a_narrower_band() -> None:

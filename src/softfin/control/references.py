@@ -1,5 +1,6 @@
 """References that a controller can hold: those within its cells that the fin can reach."""
 
+import contextlib
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -32,13 +33,24 @@ SPREAD = 0.6
 pattern does not fit at any size."""
 
 
-def default_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
-    """Return the six reference forces of an evaluation [N].
+def default_references(
+    reachable: Reachable | None, cells: Sequence[Cell] = ()
+) -> tuple[ForceVector, ...]:
+    """Return the six reference forces for the evaluation of a controller with these cells [N].
 
-    These are the paper's references if the reach is unknown, or if a fin of the paper's size can
-    produce them. Otherwise their pattern is scaled to the fin's reach, and mirrored if it fits only
-    that way.
+    These are the paper's references if the reach is unknown, if a fin of the paper's size can
+    produce them, or if the controller was not trained for all of the fin's reach. Otherwise their
+    pattern is scaled to the reach, and mirrored if it fits only that way.
     """
+    references = _scaled_references(reachable)
+    with contextlib.suppress(CoverageError):
+        for reference in references if cells else ():
+            check_within(cells, reference)
+        return references
+    return PAPER_REFERENCES
+
+
+def _scaled_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
     paper = np.array(PAPER_REFERENCES, float)
     if reachable is None or (reachable.size == 1 and reachable.contains(paper).all()):
         return PAPER_REFERENCES

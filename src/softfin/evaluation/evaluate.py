@@ -13,7 +13,12 @@ from jaxtyping import Array, Key
 
 from softfin.control.controller import Controller, controller_clock
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
-from softfin.control.references import default_references, reachable_set, resolve_reference
+from softfin.control.references import (
+    controller_cells,
+    default_references,
+    reachable_set,
+    resolve_reference,
+)
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -207,7 +212,8 @@ def score_controller(
     """
     reachable = reachable_set(controller)
     if not config.references:
-        config = config.model_copy(update={"references": default_references(reachable)})
+        defaults = default_references(reachable, controller_cells(controller))
+        config = config.model_copy(update={"references": defaults})
     references = []
     warnings = []
     for reference in config.references:
