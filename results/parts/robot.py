@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from results.parts.common import TINY, Figures, Part, Work
+from results.parts.common import TINY_MAP, Figures, Part, Work
 from results.record import figure
 from results.steps import step
 
@@ -19,7 +19,7 @@ COLUMNS = {
 
 def robot(seeds: Sequence[int]) -> Part:
     """U-CAT's node with all fins and with one dead: the wrench of fins in a tank."""
-    gaits = step("robot-gaits", f"softfin map {PLANT}", 5, tiny=TINY["gaits"])
+    gaits = step("robot-gaits", f"softfin map {PLANT}", 5, tiny=TINY_MAP)
     command = f"softfin robot evaluate ucat {gaits.name} --plant {PLANT} --max-thrust 3"
     tiny = "--targets 2 --repeats 1"
     whole = [step(f"robot-{seed}", f"{command} --seed {seed}", 2, seed, tiny) for seed in seeds]
