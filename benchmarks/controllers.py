@@ -7,6 +7,7 @@ benchmarks/ppo.py, with the same actions.
 """
 
 import os
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import PAPER_PRESETS, SINGLE, TrainConfig
 from softfin.learning.train import train_policies
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
 
@@ -40,7 +42,9 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
     def note(done: float, _: str) -> None:
         moments.append((time.perf_counter() - start, done))
 
-    trained = train_policies(plant, config, WIDE, report=note)
+    with tempfile.TemporaryDirectory() as folder:
+        run_directory = RunDirectory(Path(folder) / "controller", {})
+        trained = train_policies(plant, config, WIDE, 0, run_directory, note)
     log = trained.log
     whole = config.num_updates * config.ppo.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}

@@ -24,7 +24,7 @@ from results import ROOT, history
 from results.record import machine, versions
 
 RESUMED = {
-    **dict.fromkeys(("fit", "calibrate", "reproduce"), ("--resume",)),
+    **dict.fromkeys(("fit", "calibrate", "train", "reproduce"), ("--resume",)),
     **dict.fromkeys(("studies.ablation", "studies.data_efficiency"), ()),
 }
 """Commands and modules that can continue after a stop, and the option for it."""

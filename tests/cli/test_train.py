@@ -41,6 +41,11 @@ def test_a_grid_has_its_own_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
     assert given["seed"] == 4
 
 
+def test_a_run_is_resumed_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not asked(monkeypatch)["resume"]
+    assert asked(monkeypatch, resume=True)["resume"]
+
+
 def test_steps_that_are_given_are_those_of_the_given_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     given = asked(monkeypatch, clock="6,1", steps=12_000)
     expected = for_clock(SINGLE, ActionClock.at(6, 1)).merged({"steps": 12_000}, "test")

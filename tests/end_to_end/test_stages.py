@@ -155,9 +155,9 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     )
     trained = []
 
-    def counted(plant, config, reachable, seed, report):
+    def counted(plant, config, reachable, seed, run_directory, report):
         trained.append(f"{config.controller}-{seed}")
-        return train_policies(plant, config, reachable, seed, report)
+        return train_policies(plant, config, reachable, seed, run_directory, report)
 
     def stopped(*given):
         if len(trained) == 3:

@@ -1,5 +1,6 @@
 """Training runs: their policies, logs, and what stops them."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,9 +23,11 @@ from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.train import TrainedPolicies, train_policies
 from softfin.stages.reproduce_config import PRESETS
+from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig
 from tests.control.test_controllers import WIDE
+from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
 
@@ -42,9 +45,15 @@ NEAR_TWO = Reachable(np.array([1.5, -1], np.float32), np.full(32, 0.4, np.float3
 """A fin that reaches the paper's first two cells only."""
 
 
+@pytest.fixture
+def work(tmp_path: Path) -> RunDirectory:
+    return RunDirectory(tmp_path / "out", {})
+
+
 @pytest.fixture(scope="module")
-def trained() -> TrainedPolicies:
-    return train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
+def trained(tmp_path_factory: pytest.TempPathFactory) -> TrainedPolicies:
+    work = RunDirectory(tmp_path_factory.mktemp("trained") / "out", {})
+    return train_policies(AnalyticFin(), SMALL, NEAR_TWO, 5, work)
 
 
 def test_there_is_a_policy_for_each_cell_and_none_are_alike(trained: TrainedPolicies) -> None:
@@ -55,11 +64,88 @@ def test_there_is_a_policy_for_each_cell_and_none_are_alike(trained: TrainedPoli
     assert np.isfinite(trained.evaluation.error).all()
 
 
-def test_policies_depend_on_their_seed_and_cell_only(trained: TrainedPolicies) -> None:
+class Killed(Exception):
+    """Ends a run after an update."""
+
+
+def test_a_run_that_was_killed_resumes_to_the_same_policies_and_log(
+    trained: TrainedPolicies, tmp_path: Path
+) -> None:
+    """It has two evaluations, and is killed in the update after the first."""
+    config = SMALL.model_copy(update={"num_evaluations": 2})
+
+    def kill(done: float, note: str) -> None:
+        if done == 0.75:
+            raise Killed
+
+    whole = train_policies(
+        AnalyticFin(), config, NEAR_TWO, 5, RunDirectory(tmp_path / "whole", {"seed": 5})
+    )
+    with pytest.raises(Killed):
+        train_policies(
+            AnalyticFin(), config, NEAR_TWO, 5, RunDirectory(tmp_path / "cut", {"seed": 5}), kill
+        )
+    resumed_from: list[float] = []
+    resumed = train_policies(
+        AnalyticFin(),
+        config,
+        NEAR_TWO,
+        5,
+        RunDirectory(tmp_path / "cut", {"seed": 5}, resume=True),
+        lambda done, note: resumed_from.append(done),
+    )
+    assert resumed_from == [0.75, 1.0]
+    jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
+    jax.tree.map(np.testing.assert_array_equal, resumed.evaluation, whole.evaluation)
+    assert resumed.log == whole.log
+    assert [entry["step"] for entry in whole.log] == [24, 48, 72, 96]
+
+
+def test_the_best_policies_of_a_killed_run_are_not_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Policies that are never better after it resumes; those of its first evaluation remain."""
+    evaluate = training._evaluate
+    seen: list[Any] = []
+
+    def evaluate_worse_and_worse(
+        task: TaskConfig, plant: Any, policies: Any, references: Any
+    ) -> PolicyEvaluation:
+        evaluation = evaluate(task, plant, policies, references)
+        kernel = np.asarray(policies.net.lstm.kernel)
+        if not any(np.array_equal(kernel, old) for old in seen):
+            seen.append(kernel)
+        age = next(i for i, old in enumerate(seen) if np.array_equal(kernel, old))
+        return evaluation._replace(error=evaluation.error + age)
+
+    monkeypatch.setattr(training, "_evaluate", evaluate_worse_and_worse)
+
+    def kill(done: float, note: str) -> None:
+        raise Killed
+
+    with pytest.raises(Killed):
+        train_policies(AnalyticFin(), SMALL, NEAR_TWO, 5, RunDirectory(tmp_path / "cut", {}), kill)
+    resumed = train_policies(
+        AnalyticFin(), SMALL, NEAR_TWO, 5, RunDirectory(tmp_path / "cut", {}, resume=True)
+    )
+    assert len(seen) == 4
+    np.testing.assert_array_equal(resumed.policies.net.lstm.kernel, seen[0])
+
+
+@needs_full_device
+def test_a_full_disk_stops_the_training_with_an_error(work: RunDirectory) -> None:
+    check_that_a_full_disk_stops(
+        lambda: train_policies(AnalyticFin(), SMALL, NEAR_TWO, 5, work), work.folder
+    )
+
+
+def test_policies_depend_on_their_seed_and_cell_only(
+    trained: TrainedPolicies, tmp_path: Path
+) -> None:
     first = Reachable(np.array([1, -1], np.float32), np.full(32, 0.4, np.float32))
-    again = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=5)
+    again = train_policies(AnalyticFin(), SMALL, NEAR_TWO, 5, RunDirectory(tmp_path / "again", {}))
     jax.tree.map(np.testing.assert_array_equal, again.policies, trained.policies)
-    other = train_policies(AnalyticFin(), SMALL, NEAR_TWO, seed=6)
+    other = train_policies(AnalyticFin(), SMALL, NEAR_TWO, 6, RunDirectory(tmp_path / "other", {}))
     kernels = [np.asarray(run.policies.net.lstm.kernel[0]) for run in (trained, other)]
     assert (kernels[0] != kernels[1]).any()
     assert training_cells(SMALL, first) == PAPER_CELLS[:1]
@@ -88,22 +174,24 @@ def test_evaluations_are_spread_over_the_run_and_the_last_update_is_one(
     assert due[-1] == updates
 
 
-def test_a_loss_that_is_not_finite_stops_with_its_place() -> None:
+def test_a_loss_that_is_not_finite_stops_with_its_place(work: RunDirectory) -> None:
     words = (
         r"the loss is NaN or infinite in update 1, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; "
         r"lower ppo.learning"
     )
     with pytest.raises(RunError, match=words):
-        train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO)
+        train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO, 0, work)
 
 
-def test_forces_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_forces_that_are_not_finite_stop_it_as_a_loss_does(
+    monkeypatch: pytest.MonkeyPatch, work: RunDirectory
+) -> None:
     """Else a run of hours would end with policies that were never any good."""
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
-    monkeypatch.setattr(training, "_evaluate", lambda *given: worst)
+    monkeypatch.setattr(training, "_evaluate", lambda *given, references: worst)
     words = r"^train: the force in the evaluation is NaN or infinite in update 1, cell x 1.5 .. 2.5"
     with pytest.raises(RunError, match=words):
-        train_policies(AnalyticFin(), SMALL, NEAR_TWO)
+        train_policies(AnalyticFin(), SMALL, NEAR_TWO, 0, work)
 
 
 def test_a_budget_under_one_rollout_is_refused() -> None:
@@ -161,26 +249,27 @@ def test_a_fin_that_cannot_produce_the_papers_references_is_refused_with_its_rea
 
 
 def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_knows(
-    trained: TrainedPolicies, monkeypatch: pytest.MonkeyPatch
+    trained: TrainedPolicies, monkeypatch: pytest.MonkeyPatch, work: RunDirectory
 ) -> None:
     """It is the evaluation that says so: here nothing is learnt, as learning in a surrogate takes
     long to compile."""
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(1))
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
     one = SMALL.model_copy(update={"controller": "single", "num_evaluations": 1})
-    run = train_policies(streaming.surrogate(), one, WIDE)
+    run = train_policies(streaming.surrogate(), one, WIDE, 0, work)
     assert 0 <= run.log[-1]["score_out_of_distribution"] <= 1
     assert not any("score_out_of_distribution" in entry for entry in trained.log)
 
 
 def test_policies_are_evaluated_in_the_plant_as_it_is_now(
-    trained: TrainedPolicies, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(2))
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
 
     def error(plant: PlainFin) -> Any:
-        return np.asarray(train_policies(plant, SMALL, NEAR_TWO).evaluation.error)
+        work = RunDirectory(tmp_path / "out", {}, overwrite=True)
+        return np.asarray(train_policies(plant, SMALL, NEAR_TWO, 0, work).evaluation.error)
 
     plant = PlainFin(gain=0.1)
     before = error(plant)
@@ -193,14 +282,14 @@ def test_policies_are_evaluated_in_the_plant_as_it_is_now(
 
 @pytest.mark.parametrize("scale", [1.0, 0.05])
 def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(
-    scale: float, monkeypatch: pytest.MonkeyPatch
+    scale: float, monkeypatch: pytest.MonkeyPatch, work: RunDirectory
 ) -> None:
     metrics = {"error_x_n": [0.12 * scale] * 2, "error_y_n": [0.35 * scale] * 2}
     idle = {name: jnp.zeros(2) for name in ("loss", "gradient_norm")} | metrics
     monkeypatch.setattr(training, "_update", lambda config, plant, agents: (agents, idle))
     said: list[tuple[float, str]] = []
     train_policies(
-        AnalyticFin(), SMALL, NEAR_TWO, report=lambda done, note: said.append((done, note))
+        AnalyticFin(), SMALL, NEAR_TWO, 0, work, lambda done, note: said.append((done, note))
     )
     assert [done for done, _ in said] == [0.25, 0.5, 0.75, 1.0]
     errors = {1.0: "0.12/0.35", 0.05: "0.006/0.017"}[scale]

@@ -18,7 +18,10 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import SINGLE
+from softfin.stages import controllers
 from softfin.stages.controllers import map_forces, train
+from softfin.stages.ray_training import _train
+from softfin.storage.run_directory import read_training_log
 from tests.plants import NoisyFin, StrokeFin
 
 MAP = MapConfig(
@@ -92,6 +95,43 @@ def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> 
     description = controller.artifact.description
     assert description["provenance"]["seed"] == 3
     assert description["scores"] == result["scores"]
+    training = tmp_path / "out" / "training"
+    assert [entry["step"] for entry in read_training_log(training / "log.jsonl")] == [12]
+    (events,) = training.glob("events.*")
+    assert b"score_x_n" in events.read_bytes()
+    assert (training / "learning.svg").is_file()
+    assert not (tmp_path / ".out.unfinished").exists()
+
+
+@pytest.fixture
+def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Output of a training that was killed after its checkpoint."""
+
+    def kill(*given: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patches:
+        patches.setattr(controllers, "save_policies", kill)
+        with pytest.raises(KeyboardInterrupt):
+            train(StrokeFin(), tmp_path / "out", PPO)
+    return tmp_path / "out"
+
+
+def test_a_killed_training_resumes_and_a_finished_one_is_not_repeated(killed: Path) -> None:
+    with pytest.raises(ArtifactError, match="an unfinished run; continue with --resume, or"):
+        train(StrokeFin(), killed, PPO)
+    with pytest.raises(ArtifactError, match=r"another run \(seed was 0 and is 1\)"):
+        train(StrokeFin(), killed, PPO, seed=1, resume=True)
+    result = train(StrokeFin(), killed, PPO, resume=True)
+    said = Said()
+    assert train(StrokeFin(), killed, PPO, resume=True, progress=said) == result
+    assert said.stages == []
+
+
+def test_a_worker_of_a_cluster_resumes_the_training_of_one_that_died(killed: Path) -> None:
+    result = _train({"plant": StrokeFin(), "out": killed, "config": PPO})
+    assert isinstance(result, dict)
+    assert result["controller"] == str(killed)
 
 
 def test_a_plant_without_gradients_has_no_map(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from softfin.core.errors import ArtifactError
 from softfin.core.file_lock import lock_file
 from softfin.stages.collect import collect
-from softfin.stages.controllers import find_gaits, map_forces, train
+from softfin.stages.controllers import map_forces, train
 from softfin.stages.live import collect_live
 from softfin.stages.reproduce import reproduce
 from softfin.stages.surrogates import calibrate, fit
@@ -46,7 +46,7 @@ def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, o
     assert checkpoint.read_text() == "of the first run"
 
 
-@pytest.mark.parametrize("stage", [collect, map_forces, find_gaits])
+@pytest.mark.parametrize("stage", [collect, map_forces])
 def test_a_second_stage_is_refused(held, stage):
     with pytest.raises(ArtifactError, match=MESSAGE):
         stage("missing", held)

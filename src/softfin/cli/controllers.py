@@ -93,6 +93,8 @@ class TrainArguments(Configured):
     """Number of training actions per policy (default: 200000, or 33000 per cell of a grid)."""
     seed: int = 0
     """Seed for weights, exploration and references."""
+    resume: bool = False
+    """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
         """Reject a clock that does not exist."""
@@ -113,6 +115,7 @@ class TrainArguments(Configured):
                 self.out,
                 config,
                 seed=self.seed,
+                resume=self.resume,
                 overwrite=self.overwrite,
                 progress=report,
             )

@@ -1,8 +1,7 @@
-"""Writes trained policies to controller folders, with their scores, the training log and a figure
-of the errors during training."""
+"""Writes trained policies to controller folders, with their scores and a figure of the errors
+during training."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 
@@ -15,9 +14,8 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AnyArray
 from softfin.learning.policy import name_policy_arrays
 from softfin.learning.train import TrainedPolicies
-from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
-from softfin.storage.run_directory import LOG, TRAINING_LOG
+from softfin.storage.run_directory import TRAINING_LOG
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
 """(steps, values) of a run, with increasing steps."""
@@ -58,9 +56,10 @@ def save_policies(
     provenance: Mapping[str, object],
     learnt: Mapping[str, object],
     overwrite: bool = False,
+    extra_files: Callable[[Path], None] = lambda _: None,
 ) -> None:
     """Write the controller, completely or not at all; `learnt` describes the training data of its
-    plant."""
+    plant, and `extra_files` writes more files into the folder."""
     config = trained.config
     policies = trained.policies
     if config.controller == "single":
@@ -73,14 +72,13 @@ def save_policies(
         "reachable": trained.reachable.to_dict(),
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
-        "scores": list_scores(trained),
+        "scores": _list_scores(trained),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
 
     def write_training(folder: Path) -> None:
-        lines = (json.dumps(artifacts.plain(entry)) + "\n" for entry in trained.log)
-        artifacts.write_file(folder / TRAINING_LOG / LOG, "".join(lines))
+        extra_files(folder)
         curve = learning_curve(trained.log, "score_x_n", "score_y_n")
         figure = learning_figure(
             {"error without exploration noise": [curve]}, "mean error of both axes [N]"
@@ -99,7 +97,7 @@ def save_policies(
     )
 
 
-def list_scores(trained: TrainedPolicies) -> list[JsonObject]:
+def _list_scores(trained: TrainedPolicies) -> list[JsonObject]:
     """List the evaluation references of each cell and the force errors in the training plant.
 
     Errors are relative to ``tracked_reference_n``, the nearest reachable force.

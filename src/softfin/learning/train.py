@@ -1,12 +1,12 @@
 """Trains one policy per cell by LSTM-PPO, all in one compiled program.
 
-The policies do not exchange data, so each one depends only on its seed and cell.
+The policies do not exchange data, so each one depends only on its seed and cell. A resumed run ends
+with the same weights as an uninterrupted run.
 """
 
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,10 +25,13 @@ from softfin.learning.configuration import TrainConfig, evaluation_references, t
 from softfin.learning.policy import Policy
 from softfin.learning.ppo import PPO
 from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, evaluate_policy
+from softfin.storage.run_directory import RunDirectory, read_training_log
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 
 PerCell: TypeAlias = Float[np.ndarray, "cells"]
+Checkpoint: TypeAlias = tuple[AgentState, Policy]
+"""State of all agents and the best policies so far."""
 Candidates: TypeAlias = tuple[Policy, PolicyEvaluation]
 """Policies and their evaluations; leaves have a leading axis of cells."""
 
@@ -56,14 +59,16 @@ def train_policies(
     plant: Plant,
     config: TrainConfig,
     reachable: Reachable,
-    seed: int = 0,
+    seed: int,
+    run_directory: RunDirectory,
     report: ReportSearch = lambda *_: None,
 ) -> TrainedPolicies:
-    """Train a policy for each cell of references that the fin can reach.
+    """Train a policy for each cell of references that the fin can reach; resume from the checkpoint
+    in `run_directory`, if any.
 
     Raises:
         ConfigurationError: the fin can produce none of the references.
-        RunError: a loss or a force is not finite.
+        RunError: a loss or a force is not finite, or the disk is full.
     """
     limits = Limits(*map(float, plant.limits))
     plant = jit_argument(plant)
@@ -73,25 +78,40 @@ def train_policies(
     references = evaluation_references(config, cells, reachable)
     keys = jnp.stack([named_key(seed, f"train/{cell}") for cell in cells])
     agents = _start(fitted, plant, keys, stack_references(cells, reachable))
+    evaluate = partial(_evaluate, task, plant, references=jnp.asarray(references))
     best: Candidates | None = None
-    log = []
-    for update in range(1, config.num_updates + 1):
+    num_completed = 0
+    initial = (agents, agents.policy)
+    resumed = run_directory.load(_without_keys(initial))
+    if resumed is not None:
+        agents, policies = _with_keys(resumed[0], initial)
+        best = (policies, evaluate(policies))
+        num_completed = resumed[1]["updates"]
+    log = run_directory.log(rewind_to=num_completed * config.ppo.steps_per_update)
+    for update in range(num_completed + 1, config.num_updates + 1):
         agents, metrics = _update(fitted, plant, agents)
         loss = np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"])
         _check_finite("the loss", loss, cells, update)
-        entry = {"step": update * config.ppo.steps_per_update, **_means(metrics)}
-        if _is_evaluated(config, update):
-            evaluation = _evaluate(task, plant, agents.policy, jnp.asarray(references))
+        means = _means(metrics)
+        is_evaluated = _is_evaluated(config, update)
+        if is_evaluated:
+            evaluation = evaluate(agents.policy)
             _check_finite("the force in the evaluation", _errors(evaluation), cells, update)
             best = _better(best, (agents.policy, evaluation))
-            entry |= _means(_scores(evaluation))
-        log.append(entry)
-        errors = "/".join(f"{entry[f'error_{axis}_n']:.2g}" for axis in AXES)
+            means |= _means(_scores(evaluation))
+        # Written before the checkpoint: a resumed run can remove surplus entries, but cannot
+        # restore missing ones.
+        log.write(update * config.ppo.steps_per_update, **means)
+        if is_evaluated:
+            assert best is not None
+            run_directory.save(_without_keys((agents, best[0])), {"updates": update})
+        errors = "/".join(f"{means[f'error_{axis}_n']:.2g}" for axis in AXES)
         report(update / config.num_updates, f"error {errors} N while exploring")
     assert best is not None
     policies, evaluation = best
+    entries = read_training_log(log.path)
     return TrainedPolicies(
-        config, task, cells, reachable, limits, policies, references, evaluation, log
+        config, task, cells, reachable, limits, policies, references, evaluation, entries
     )
 
 
@@ -102,12 +122,12 @@ def _start(
     return jax.vmap(_learner(config, plant).init)(keys, references)
 
 
-@eqx.filter_jit
+@jit("low")
 def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
     return jax.vmap(_learner(config, plant).update)(agents)
 
 
-@eqx.filter_jit
+@jit("low")
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:
@@ -119,6 +139,26 @@ def _evaluate(
 def _learner(config: TrainConfig, plant: Plant) -> PPO:
     task = ForceTracking(plant, config.task)
     return PPO(task, config.ppo, config.policy, config.num_updates)
+
+
+def _without_keys(state: Checkpoint) -> Checkpoint:
+    """Convert random keys to integers, because files cannot contain keys."""
+    stored: Checkpoint = jax.tree.map(
+        lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, state
+    )
+    return stored
+
+
+def _with_keys(stored: Checkpoint, like: Checkpoint) -> Checkpoint:
+    """Convert integers back to random keys at the leaves where `like` has keys."""
+    state: Checkpoint = jax.tree.map(
+        lambda leaf, old: jax.random.wrap_key_data(leaf) if _is_key(old) else leaf, stored, like
+    )
+    return state
+
+
+def _is_key(leaf: AnyArray) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def _is_evaluated(config: TrainConfig, update: int) -> bool:

@@ -17,11 +17,12 @@ from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.gaits.simulate import SurveyConfig, survey
 from softfin.gaits.usable import check_usable
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.controllers import list_scores, save_policies
+from softfin.learning.controllers import save_policies
 from softfin.learning.train import train_policies
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import find_plant, plant_name
+from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import learnt_from
 
 
@@ -89,6 +90,7 @@ def train(
     config: TrainConfig | None = None,
     *,
     seed: int = 0,
+    resume: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
@@ -99,16 +101,27 @@ def train(
     the errors of the policies at the evaluation references.
     """
     config = config or TrainConfig()
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite or resume)
     name = plant_name(plant)
     learnt = learnt_from(plant)
     plant = find_plant(plant)
-    # The corners are not pushed outwards, because that takes most of a survey's time and needs
-    # gradients, which a user's simulator may lack. The area is about 5% smaller.
-    settings = SurveyConfig(pushes=0)
-    surveyed = survey(plant, settings, partial(progress, "survey"), config.task.clock)
-    check_usable(plant, surveyed.reachable)
-    trained = train_policies(plant, config, surveyed.reachable, seed, partial(progress, "train"))
-    origin = artifacts.provenance(plant=name, plant_identity=identity(plant), seed=seed)
-    save_policies(out, trained, origin, learnt, overwrite)
-    return {"controller": str(out), "scores": list_scores(trained)}
+    metadata = {
+        "configuration": config.model_dump(mode="json"),
+        "seed": seed,
+        "plant": identity(plant, computed=True),
+    }
+    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    if not run_directory.complete:
+        # The corners are not pushed outwards, because that takes most of a survey's time and needs
+        # gradients, which a user's simulator may lack. The area is about 5% smaller.
+        settings = SurveyConfig(pushes=0)
+        surveyed = survey(plant, settings, partial(progress, "survey"), config.task.clock)
+        reachable = surveyed.reachable
+        check_usable(plant, reachable)
+        report = partial(progress, "train")
+        trained = train_policies(plant, config, reachable, seed, run_directory, report)
+        origin = artifacts.provenance(plant=name, plant_identity=identity(plant), seed=seed)
+        save_policies(out, trained, origin, learnt, overwrite, run_directory.keep_log)
+    run_directory.finish()
+    scores = artifacts.load_description(out, "controller")["scores"]
+    return {"controller": str(out), "scores": scores}

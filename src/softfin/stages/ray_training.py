@@ -57,10 +57,10 @@ def _connect(cluster: str) -> Any:
 
 
 def _train(arguments: dict[str, Any]) -> JsonObject | SoftfinError:
-    """Train on a worker. softfin's errors are returned, because Ray would wrap raised errors in a
-    traceback."""
+    """Train on a worker, from the last checkpoint if a previous worker died. softfin's errors are
+    returned, because Ray would wrap raised errors in a traceback."""
     try:
-        return train(**arguments)
+        return train(**arguments | {"resume": True})
     except SoftfinError as error:
         return error
 

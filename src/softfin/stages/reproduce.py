@@ -267,7 +267,8 @@ class _Reproduction:
                     f"the controller {kind}: {policies}, trained in the surrogate by LSTM-PPO, "
                     f"{config.steps:,} actions each, seed {seed}"
                 )
-                self.stage(f"train {out.name}", what, out, train, surrogate, out, config, seed=seed)
+                options = {"seed": seed, "resume": True}
+                self.stage(f"train {out.name}", what, out, train, surrogate, out, config, **options)
 
     def controller(self, kind: str, seed: int) -> Path:
         """Return the folder of the controller trained from a seed; there is only one for gaits."""
