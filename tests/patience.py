@@ -2,8 +2,7 @@
 browsers.
 
 A limit on waiting only ends a test that hangs. It must not fail a correct program because the
-computer is slow or busy, so there is one limit for all, far above what the slowest of them takes;
-tests/test_time_limits.py finds others.
+computer is slow or busy, so there is one limit for all, far above what the slowest of them takes.
 """
 
 import time

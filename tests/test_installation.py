@@ -68,7 +68,6 @@ def test_an_extra_that_brings_another_needs_what_that_needs():
     ("module", "there", "told"),
     [
         ("jax.numpy", None, "missing jax.numpy from the extra 'learn'; to install it, run "),
-        ("PIL", None, "missing PIL from the extra 'learn'; to install it, run "),
         (
             "cyclonedds.core",
             None,

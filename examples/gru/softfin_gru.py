@@ -186,9 +186,7 @@ class GruSurrogate(eqx.Module):
             forces.append(values[:, 1:])
         count = self.parameters()
         return {
-            "gru_angle": NetPrediction(
-                "GRU, commands to angle", (ANGLE,), angles, None, count, "posnet"
-            ),
+            "gru_angle": NetPrediction("GRU, commands to angle", (ANGLE,), angles, None, count),
             "gru_force": NetPrediction("GRU, commands to force", FORCES, forces, None, count),
         }
 

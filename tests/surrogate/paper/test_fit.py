@@ -123,40 +123,13 @@ def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
     )
 
 
-def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
-    RunDirectory(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
-    with pytest.raises(
-        ArtifactError, match=r"continue with --resume, or discard it with --overwrite"
-    ):
-        RunDirectory(tmp_path / "s", {"seed": 0})
-    with pytest.raises(
-        ArtifactError,
-        match=r"1/checkpoint\.safetensors: belongs to another run .seed was 0 and is 1",
-    ):
-        RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
-    tree, metadata = (
-        RunDirectory(tmp_path / "s", {"seed": 0}, resume=True)
-        .part("1")
-        .load({"x": np.zeros(2, int)})
-    )
-    assert (tree["x"].tolist(), metadata) == ([0, 1], {"epoch": 1})
-    assert (
-        RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)})
-        is None
-    )
-
-
-def test_the_training_logs_of_parts_are_kept(tmp_path):
+def test_the_training_log_is_kept(tmp_path):
     run_directory = RunDirectory(tmp_path / "s", {})
-    for part in (run_directory, run_directory.part("0"), run_directory.part("1")):
-        record = part.log()
-        record.write(1, loss=0.5)
+    run_directory.log().write(1, loss=0.5)
     run_directory.keep_log(tmp_path / "kept")
-    for name in (".", "0", "1"):
-        assert read_training_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [
-            {"step": 1, "loss": 0.5}
-        ]
-        assert list((tmp_path / "kept" / TRAINING_LOG / name).glob("events.*"))
+    kept = tmp_path / "kept" / TRAINING_LOG
+    assert read_training_log(kept / LOG) == [{"step": 1, "loss": 0.5}]
+    assert list(kept.glob("events.*"))
 
 
 def test_damaged_work_is_refused_by_name(tmp_path):

@@ -62,7 +62,7 @@ BLIND_WRITES = 20
 collide if a second program uses the port."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
-WATCHED_S = 0.3
+SHAFT_WATCHED_S = 0.3
 """Time for which softfin monitors the shaft after the servo has stopped by itself [s]."""
 MOVED_RAD = 0.02
 """Maximum rotation of the shaft during the stop test [rad]; the fin may sway."""
@@ -511,11 +511,11 @@ class Dynamixel:
         return None
 
     def _watch_shaft(self, before: int) -> None:
-        """Raise DeviceError if the shaft leaves a position within `WATCHED_S`, or if it cannot be
-        read."""
+        """Raise DeviceError if the shaft leaves a position within `SHAFT_WATCHED_S`, or if it
+        cannot be read."""
         is_read = False
         moved_rad = 0.0
-        for _ in range(round(WATCHED_S / TICK_S)):
+        for _ in range(round(SHAFT_WATCHED_S / TICK_S)):
             is_read = self._poll(0.02) or is_read
             angle = self.units.angle(self._known_status().position)
             moved_rad = max(moved_rad, angle - self.units.angle(before), key=abs)
