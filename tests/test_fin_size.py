@@ -21,7 +21,7 @@ from softfin.evaluation.headline import within
 from softfin.evaluation.scores import SETTLED_N, settled_band, step_responses
 from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.gait import ForceMap
-from softfin.gaits.reachable import PAPER_REACH_N, PAPER_REFERENCES, Reachable
+from softfin.gaits.reachable import PAPER_REACH_N, PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import TrainConfig, training_cells
@@ -141,6 +141,9 @@ def test_the_references_are_the_papers_if_the_controller_was_trained_for_these_o
     assert default_references(large, PAPER_CELLS) == PAPER_REFERENCES
     everything = large.bounding_box()
     assert default_references(large, (everything,)) == default_references(large)
+    # Trained for a part of the reach without the paper's references.
+    part = Cell(low=(-1, -1), high=(1.5, 1))
+    assert default_references(large, (part,)) == default_references(large)
 
 
 def test_a_small_fin_has_to_settle_in_a_narrower_band() -> None:

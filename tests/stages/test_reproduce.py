@@ -46,6 +46,11 @@ def test_what_several_controllers_warn_of_is_said_once():
     assert together(each).warnings == ("one", "another")
 
 
+def test_controllers_with_different_clocks_are_refused_before_any_work():
+    with pytest.raises(ConfigurationError, match=r"single\.task\.clock is .*, but gaits\.clock is"):
+        PRESETS["tiny"].changed(["gaits.clock.ticks=[25]", "gaits.clock.window_actions=8"])
+
+
 @pytest.mark.parametrize("asked", [{"error_map": 3}, {"random": 9}])
 def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked

@@ -39,15 +39,21 @@ def default_references(
     """Return the six reference forces for the evaluation of a controller with these cells [N].
 
     These are the paper's references if the reach is unknown, if a fin of the paper's size can
-    produce them, or if the controller was not trained for all of the fin's reach. Otherwise their
-    pattern is scaled to the reach, and mirrored if it fits only that way.
+    produce them, or if the controller was trained for them and not for all of the fin's reach.
+    Otherwise their pattern is scaled to the reach, and mirrored if it fits only that way.
     """
     references = _scaled_references(reachable)
+    if _covers(cells, references) or not _covers(cells, PAPER_REFERENCES):
+        return references
+    return PAPER_REFERENCES
+
+
+def _covers(cells: Sequence[Cell], references: Sequence[ForceVector]) -> bool:
     with contextlib.suppress(CoverageError):
         for reference in references if cells else ():
             check_within(cells, reference)
-        return references
-    return PAPER_REFERENCES
+        return True
+    return False
 
 
 def _scaled_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:

@@ -141,7 +141,7 @@ def hand_data(limits: Sequence[Limits], clock: ActionClock, size: float | None) 
     velocity = 2 * HAND_STROKE_RAD * clock.rate_hz * 1.5
     first = {
         "angle": common.rest_angle,
-        "stroke": HAND_STROKE_RAD,
+        "stroke": min(HAND_STROKE_RAD, (common.angle_max - common.angle_min) / 2),
         "velocity": min(max(velocity, common.velocity_min), common.velocity_max),
     }
     return {

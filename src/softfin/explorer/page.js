@@ -6,7 +6,7 @@ const plane = element("plane"), water = element("water"), traces = element("trac
 /* The fin's size relative to the paper's, whose reach is 2.4 N, and whose force by hand peaks at 10 N; the steps of its forces [N], 0.01 and 0.1 N for that; decimals of forces. */
 const PAPER_PEAK_N = 10;
 const hand = controllers.at(-1), makers = { tank: Tank, surrogate: StreamingSurrogate };
-const finSize = controllers[0].size ?? peakForce(new makers[plants[0].kind](plants[0]), hand) / PAPER_PEAK_N, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
+const finSize = controllers[0].size ?? (peakForce(new makers[plants[0].kind](plants[0]), hand) / PAPER_PEAK_N || 1), HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
 const range = planeRange(controllers);
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;

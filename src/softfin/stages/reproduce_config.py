@@ -57,6 +57,16 @@ class ReproduceConfig(Configuration):
         return ["gaits", *self.policies]
 
     @model_validator(mode="after")
+    def _clocks_equal(self) -> "ReproduceConfig":
+        for name, policy in self.policies.items():
+            if policy.task.clock != self.gaits.clock:
+                raise ValueError(
+                    f"{name}.task.clock is {policy.task.clock}, but gaits.clock is "
+                    f"{self.gaits.clock}; use one clock, because one page shows all controllers"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _references_fixed(self) -> "ReproduceConfig":
         for name in ("error_map", "random"):
             if getattr(self.evaluate, name):
