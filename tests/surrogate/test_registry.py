@@ -105,6 +105,14 @@ def test_a_reproduction_keeps_the_architecture_of_its_fit(config):
         run.changed(["fit.wings=2"])
 
 
+def test_a_configuration_that_names_the_architecture_of_others_is_refused(tmp_path):
+    class Copied(FitConfig):
+        """Copied from an example, with its name."""
+
+    with pytest.raises(ConfigurationError, match="Copied: its model paper has a different config"):
+        fit(tmp_path / "dataset", tmp_path / "out", Copied())
+
+
 @pytest.mark.usefixtures("in_its_folder")
 def test_the_example_meets_the_contract():
     check_surrogate(gru.surrogate())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softfin.core.errors import LogError
+from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
 from softfin.core.progress import Progress, silent
@@ -52,6 +52,11 @@ def fit(
     """
     config = config or find_architecture(DEFAULT).config()
     architecture = find_architecture(config.model)
+    if type(config) is not architecture.config:
+        raise ConfigurationError(
+            f"{type(config).__name__}: its model {config.model} has a different configuration; set "
+            "the default of model to the package.module:NAME of your own architecture"
+        )
     artifacts.check_vacant(out, overwrite or resume)
     description = (
         artifacts.load_description(dataset, "dataset")
