@@ -222,3 +222,13 @@ def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(
     main(["rig", "emulate", "--overwrite"])
     assert not (tmp_path / "rig.state.json").exists()
     assert load_rig(tmp_path / "rig.yaml").emulation.seed == 0
+
+
+def test_an_interrupted_stop_is_not_reported_as_done(file, capsys, monkeypatch):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("softfin.rig.devices.epos2.drive.Epos2.switch_off", interrupt)
+    line, code = fails(capsys, "rig", "stop", "--rig", file)
+    assert "did not confirm that its motor is off; press the emergency stop" in line
+    assert code == 1

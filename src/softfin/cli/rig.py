@@ -18,6 +18,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig, load_rig
+from softfin.rig.drive_safety import UNCONFIRMED
 from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
@@ -83,7 +84,10 @@ class RigStopArguments(CommandOptions):
 
     def __call__(self) -> None:
         with ignored_termination(), contextlib.closing(Rig(load_rig(self.rig))) as rig:
-            rig.drive.switch_off()
+            try:
+                rig.drive.switch_off()
+            except KeyboardInterrupt:
+                raise DeviceError(f"{UNCONFIRMED} (interrupted)") from None
         self.tell({"motor": "off"}, "the motor is off")
 
 

@@ -242,7 +242,7 @@ def test_a_program_with_exclusive_use_of_the_adapter_is_asked_to_exit(
 
         def open_unless_in_use() -> None:
             if is_in_use:
-                raise DeviceError("CAN bus: in use")
+                raise RigError("CAN bus: cannot be opened")
             open_bus()
 
         def refuse(_: object) -> None:

@@ -82,7 +82,7 @@ class SerialPort:
         )
         # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
         # do not have this setting; `open` of the drive measures the delay in any case.
-        with contextlib.suppress(OSError, ValueError, AttributeError):
+        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
     def write(self, data: bytes) -> None:

@@ -327,7 +327,7 @@ class Epos2(Exchange):
             self.connection.open()
             if procedures.switch_off(self):
                 return None
-        except DeviceError as error:
+        except (DeviceError, RigError) as error:
             return f"{UNCONFIRMED} ({error})"
         finally:
             self.connection.close()
