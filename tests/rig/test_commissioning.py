@@ -378,7 +378,7 @@ class TestCommand:
         monkeypatch.setattr(
             "softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator
         )
-        monkeypatch.setattr("softfin.cli.common.on_terminal", lambda: True)
+        monkeypatch.setattr("softfin.rig.arming.on_terminal", lambda: True)
         monkeypatch.setattr("sys.stdin", io.StringIO("move\n" * 2))
         return ["rig", "commission", "--rig", str(site.file)]
 

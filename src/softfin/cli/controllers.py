@@ -14,9 +14,9 @@ from softfin.cli.common import (
     Out,
     folder_option,
     plant,
-    progress,
 )
 from softfin.cli.options import Option
+from softfin.cli.output import progress
 from softfin.core.choices import PolicyLayout, TrainingRangeName
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject

@@ -14,9 +14,9 @@ from softfin.cli.common import (
     LogOptions,
     Logs,
     Out,
-    progress,
 )
 from softfin.cli.options import Option
+from softfin.cli.output import progress
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.data.issues import counted
@@ -54,8 +54,8 @@ class CollectArguments(Armed, Configured):
                 )
 
     def __call__(self) -> None:
-        from softfin.cli.driving import KeyboardStop, say
         from softfin.data.collect import CollectConfig
+        from softfin.rig.arming import Arming, KeyboardStop, say
         from softfin.rig.robot_setup import find_robot
         from softfin.stages.collect import collect
         from softfin.stages.live import collect_live
@@ -63,7 +63,7 @@ class CollectArguments(Armed, Configured):
         config = self.configured(CollectConfig())
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            keys = KeyboardStop(self.confirm)
+            keys = KeyboardStop(Arming(self.arm, self.yes))
             with progress() as report:
                 data = collect_live(
                     robot,

@@ -15,8 +15,8 @@ from softfin.cli.common import (
     PlantName,
     ReferenceFile,
     Repeats,
-    progress,
 )
+from softfin.cli.output import progress
 from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
 from softfin.storage import artifact as artifacts
@@ -75,9 +75,9 @@ class EvaluateArguments(Armed, Configured):
             )
 
     def __call__(self) -> None:
-        from softfin.cli.driving import KeyboardStop, say
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
+        from softfin.rig.arming import Arming, KeyboardStop, say
         from softfin.rig.robot_setup import find_robot
         from softfin.stages.evaluation import evaluate
         from softfin.stages.live import evaluate_live
@@ -101,7 +101,7 @@ class EvaluateArguments(Armed, Configured):
             config = config.merged({"trim": {}}, "options")
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            keys = KeyboardStop(self.confirm)
+            keys = KeyboardStop(Arming(self.arm, self.yes))
             with progress() as report:
                 summary = evaluate_live(
                     self.controller,

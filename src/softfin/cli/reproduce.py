@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softfin.cli.common import Configured, Out, PlantName, progress
+from softfin.cli.common import Configured, Out, PlantName
+from softfin.cli.output import progress
 from softfin.core.choices import ReproducePreset
 
 if TYPE_CHECKING:

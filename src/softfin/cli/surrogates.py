@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-from softfin.cli.common import Configured, Data, LogOptions, Logs, Out, numbers, progress
+from softfin.cli.common import Configured, Data, LogOptions, Logs, Out, numbers
 from softfin.cli.options import Option
+from softfin.cli.output import progress
 from softfin.core.choices import CalibratePreset
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
