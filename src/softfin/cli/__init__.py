@@ -36,7 +36,9 @@ GROUPS = {
         "doctor": Command("softfin.rig.doctor:doctor", "check this computer and the installation"),
     },
     "Data": {
-        "collect": Command("data", "record random fin motions and the resulting forces"),
+        "collect": Command(
+            "softfin.stages.collect:collect", "record random fin motions and the resulting forces"
+        ),
         "inspect": Command("data", "check logs before you fit a surrogate to them"),
         "import-logs": Command(
             "data", "convert CSV files, Parquet files or ROS 2 bags into a dataset"

@@ -123,8 +123,8 @@ class TrainArguments(Configured):
 
     def _format(self, scores: Sequence[JsonObject]) -> str:
         """Format the scores as a table."""
-        from softfin.cli.tables import aligned, format_reference_errors
         from softfin.gaits.reachable import force_decimals
+        from softfin.stages.tables import aligned, format_reference_errors
 
         decimals = force_decimals(max(abs(force) for row in scores for force in row["reference_n"]))
         rows = [["reference [N]", "error x, y [N]", ""]]

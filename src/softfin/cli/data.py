@@ -6,10 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from softfin.cli.common import (
-    AnyPlant,
-    Armed,
     Common,
-    Configured,
     File,
     LogOptions,
     Logs,
@@ -17,75 +14,8 @@ from softfin.cli.common import (
 )
 from softfin.cli.options import Option
 from softfin.cli.output import progress
-from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.data.issues import counted
-from softfin.storage.registry import is_live
-
-
-class CollectArguments(Armed, Configured):
-    """Record random fin motions and the resulting forces as a dataset (paper Sec. III-A)."""
-
-    out: Out
-    """Dataset folder to write."""
-    plant: AnyPlant = "tank"
-    """The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or package.module:plant.
-    Real: rig or ros2, optionally followed by :FILE."""
-    logs: int | None = None
-    """Number of training logs (default: 100, as in the paper)."""
-    test_logs: int | None = None
-    """Number of test logs, each in a perturbed tank (default: 3, as in the paper)."""
-    rows: int | None = None
-    """Readings per log, at 100 Hz (default: 20000, as in the paper)."""
-    seed: int | None = None
-    """Seed for commands, noise and conditions (default: 0)."""
-    resume: bool = False
-    """Continue after the last complete log (real fins only)."""
-
-    def check(self) -> None:
-        """Reject options that do not apply to the plant."""
-        super().check()
-        if is_live(self.plant):
-            return
-        for option, is_given in (("--arm", self.arm), ("--resume", self.resume)):
-            if is_given:
-                raise ConfigurationError(
-                    f"{option}: {self.plant} is simulated; omit {option}, or use --plant rig"
-                )
-
-    def __call__(self) -> None:
-        from softfin.data.collect import CollectConfig
-        from softfin.rig.arming import Arming, KeyboardStop, say
-        from softfin.rig.robot_setup import find_robot
-        from softfin.stages.collect import collect
-        from softfin.stages.live import collect_live
-
-        config = self.configured(CollectConfig())
-        if is_live(self.plant):
-            robot = find_robot(self.plant)
-            keys = KeyboardStop(Arming(self.arm, self.yes))
-            with progress() as report:
-                data = collect_live(
-                    robot,
-                    self.out,
-                    config,
-                    keys.confirm,
-                    resume=self.resume,
-                    stop=keys.stop,
-                    warn=say,
-                    overwrite=self.overwrite,
-                    progress=report,
-                )
-        else:
-            with progress() as report:
-                data = collect(
-                    self.plant, self.out, config, overwrite=self.overwrite, progress=report
-                )
-        counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
-        self.tell(
-            {"dataset": str(self.out), **counts, "data_hash": data.data_hash},
-            f"{self.out}: {config.logs} + {config.test_logs} logs of {config.rows:,} rows",
-        )
 
 
 class InspectArguments(LogOptions, Common):

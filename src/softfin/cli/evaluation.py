@@ -128,8 +128,8 @@ class EvaluateArguments(Armed, Configured):
 
 def evaluation_tables(summary: "EvaluationSummary") -> str:
     """Return Table II, followed by the parts of the evaluation that were requested."""
-    from softfin.cli.tables import table_two
     from softfin.evaluation.headline import error_decimals
+    from softfin.stages.tables import table_two
 
     decimals = error_decimals(summary)
     lines = [table_two({summary["conditions"]["kind"]: summary})]
@@ -147,7 +147,7 @@ def evaluation_tables(summary: "EvaluationSummary") -> str:
 def moving_table(rows: "Sequence[MovingRow]", decimals: int) -> str:
     """Return one line per moving reference: its errors, and the longest settling time of its steps
     over all seeds."""
-    from softfin.cli.tables import aligned
+    from softfin.stages.tables import aligned
 
     cells = [["moving references", "x error", "y error", "settles in"]]
     for row in rows:

@@ -153,7 +153,7 @@ def _reach_lines(found: JsonObject) -> list[str]:
 
 def _error_table(found: JsonObject) -> list[str]:
     """Return the wrench errors of an evaluation, one line per axis."""
-    from softfin.cli.tables import aligned
+    from softfin.stages.tables import aligned
 
     config = found["configuration"]
     fins = "all fins" if found["dead"] is None else f"{found['dead']} dead"

@@ -51,9 +51,9 @@ class FitArguments(LogOptions, Configured):
     def __call__(self) -> None:
         # Before the imports below, which take seconds, because the name may be unknown.
         config = self.configured(find_architecture(self.model).config())
-        from softfin.cli.tables import format_table_one
         from softfin.core.action_clock import ActionClock
         from softfin.stages.surrogates import fit
+        from softfin.stages.tables import format_table_one
 
         with progress() as report:
             result = fit(
@@ -131,7 +131,7 @@ class CalibrateArguments(Configured):
 
 def calibration_tables(result: JsonObject) -> str:
     """Return the scores, then the parameters."""
-    from softfin.cli.tables import aligned
+    from softfin.stages.tables import aligned
 
     scores = [["R2 (RMSE)", "angle", "force x", "force y"]]
     for part, title in (("train", "fitted segments"), ("test", "unseen segments")):

@@ -43,7 +43,6 @@ from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
-from softfin.storage.output_lock import lock_output
 from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
@@ -71,7 +70,6 @@ a fin with the peak force of the paper's fin. The rest force is subtracted from 
 sensor that drifts between logs also drifts within them."""
 
 
-@lock_output
 def collect_live(
     robot: RobotSetup,
     out: Path,
