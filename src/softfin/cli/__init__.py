@@ -32,32 +32,54 @@ class Command(NamedTuple):
 GROUPS = {
     "Start": {
         "demo": Command("reproduce", "run every stage on a simulated fin and write a report"),
-        "example": Command("example", "write a trained surrogate, controllers and a recording"),
+        "example": Command(
+            "softfin.stages.example:write_example",
+            "write a trained surrogate, controllers and a recording",
+        ),
         "doctor": Command("softfin.rig.doctor:doctor", "check this computer and the installation"),
     },
     "Data": {
         "collect": Command(
             "softfin.stages.collect:collect", "record random fin motions and the resulting forces"
         ),
-        "inspect": Command("data", "check logs before you fit a surrogate to them"),
-        "import-logs": Command(
-            "data", "convert CSV files, Parquet files or ROS 2 bags into a dataset"
+        "inspect": Command(
+            "softfin.stages.logs:inspect_logs", "check logs before you fit a surrogate to them"
         ),
-        "bag recover": Command("data", "recover the readings of a damaged recording"),
-        "bag convert": Command("data", "convert recordings to Parquet or ROS 2 bags"),
+        "import-logs": Command(
+            "softfin.stages.logs:import_logs",
+            "convert CSV files, Parquet files or ROS 2 bags into a dataset",
+        ),
+        "bag recover": Command(
+            "softfin.stages.logs:recover_recording", "recover the readings of a damaged recording"
+        ),
+        "bag convert": Command(
+            "softfin.stages.logs:convert_recordings", "convert recordings to Parquet or ROS 2 bags"
+        ),
     },
     "Model": {
-        "fit": Command("surrogates", "fit a surrogate model of the fin to logs"),
-        "calibrate": Command("surrogates", "fit the virtual tank to logs or to a plant"),
+        "fit": Command("softfin.stages.surrogates:fit", "fit a surrogate model of the fin to logs"),
+        "calibrate": Command(
+            "softfin.stages.surrogates:calibrate", "fit the virtual tank to logs or to a plant"
+        ),
     },
     "Controllers": {
-        "map": Command("controllers", "find the mean forces that a fin can produce"),
-        "train": Command("controllers", "train force controllers inside a surrogate"),
-        "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
-        "explore": Command(
-            "evaluation", "write an HTML page to try controllers or to move the fin by hand"
+        "map": Command(
+            "softfin.stages.controllers:map_forces", "find the mean forces that a fin can produce"
         ),
-        "export": Command("controllers", "export a controller or a surrogate to ONNX"),
+        "train": Command(
+            "softfin.stages.controllers:train", "train force controllers inside a surrogate"
+        ),
+        "evaluate": Command(
+            "softfin.stages.evaluation:evaluate",
+            "evaluate a controller on a fin over reference forces",
+        ),
+        "explore": Command(
+            "softfin.stages.explore:explore",
+            "write an HTML page to try controllers or to move the fin by hand",
+        ),
+        "export": Command(
+            "softfin.stages.controllers:export", "export a controller or a surrogate to ONNX"
+        ),
     },
     "Rig": {
         "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),

@@ -216,6 +216,8 @@ def _choices(hint: object) -> tuple[str, ...]:
 
 
 def _metavar(hint: object) -> str:
+    if get_origin(hint) is dict:
+        return "NAME=VALUE"
     for kind, (name, _) in KINDS.items():
         if kind in (hint, *get_args(hint)):
             return name
@@ -303,7 +305,7 @@ def _text(option: Option) -> str:
     if option.is_required:
         return text if option.is_positional else f"{text} (required)"
     default = option.default
-    if default in (None, False, (), {}, inspect.Parameter.empty):
+    if isinstance(default, bool) or default in (None, (), {}, inspect.Parameter.empty):
         return text
     values = default if isinstance(default, tuple) else (default,)
     return f"{text} (default: {' '.join(map(str, values))})"

@@ -10,7 +10,7 @@ from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
-from softfin.storage.registry import is_live, resolve_plant
+from softfin.storage.registry import check_plant, is_live
 
 if TYPE_CHECKING:
     from softfin.data.collect import CollectConfig
@@ -68,8 +68,8 @@ def collect(
             raise ConfigurationError(
                 f"{option}: {plant} is simulated; omit {option}, or use --plant rig"
             )
-    if isinstance(plant, str) and not is_real:
-        resolve_plant(plant)
+    if not is_real:
+        check_plant(plant)
     from softfin.data.collect import CollectConfig
 
     settings = configure(
