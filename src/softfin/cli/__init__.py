@@ -31,7 +31,9 @@ class Command(NamedTuple):
 
 GROUPS = {
     "Start": {
-        "demo": Command("reproduce", "run every stage on a simulated fin and write a report"),
+        "demo": Command(
+            "softfin.stages.reproduce:demo", "run every stage on a simulated fin and write a report"
+        ),
         "example": Command(
             "softfin.stages.example:write_example",
             "write a trained surrogate, controllers and a recording",
@@ -97,7 +99,10 @@ GROUPS = {
         "robot ros2": Command("robot", "run a ROS 2 node that distributes wrenches among fins"),
     },
     "Paper": {
-        "reproduce": Command("reproduce", "run every stage of the paper and print its tables"),
+        "reproduce": Command(
+            "softfin.stages.reproduce:reproduce",
+            "run every stage of the paper and print its tables",
+        ),
     },
 }
 """The commands by topic."""
@@ -225,7 +230,7 @@ def _run_function(
     from softfin.cli.output import print_result, progress
 
     if "-h" in words or "--help" in words:
-        sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
+        application.print_help(function, f"softfin {name}")
         raise SystemExit(0)
     call = application.parse(
         function, [word for word in words if word not in ("--json", "--debug")]

@@ -24,6 +24,7 @@ from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
@@ -35,7 +36,12 @@ from softfin.evaluation.experiment import (
     min_seconds,
     run_together,
 )
-from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
+from softfin.evaluation.figures import (
+    error_map_figure,
+    experiments_figure,
+    held_figure,
+    moving_figure,
+)
 from softfin.evaluation.moving_references import (
     MovingScores,
     moving_together,
@@ -313,19 +319,34 @@ def together(each: Sequence[Evaluation]) -> Evaluation:
     )
 
 
-def evaluate_controller(
-    path: Path,
+def evaluate_controllers(
+    paths: Sequence[Path],
     target: EvaluationTarget,
     config: EvaluateConfig,
     out: Path | None,
     metadata: Mapping[str, object],
+    *,
     overwrite: bool = False,
+    progress: Progress = silent,
 ) -> EvaluationSummary:
-    """Evaluate the controller in a folder; with `out`, write the evaluation."""
-    controller = load_controller(path)
-    check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
-    evaluation = score_controller(controller, target, config)
-    conditions = {"controller": str(path), "kind": controller.kind, **metadata}
+    """Evaluate the controllers in some folders; with `out`, write the evaluation.
+
+    Several controllers, such as those trained from different seeds, are the repetitions of one
+    evaluation; each has the next seed.
+    """
+    evaluations = []
+    for index, path in enumerate(paths):
+        controller = load_controller(path)
+        check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
+        own = config.model_copy(update={"seed": config.seed + index})
+        evaluations.append(score_controller(controller, target, own))
+        progress("evaluate", (index + 1) / len(paths), str(path))
+    evaluation = evaluations[0] if len(evaluations) == 1 else together(evaluations)
+    conditions = {
+        "controller": ", ".join(map(str, paths)),
+        "kind": controller.kind,
+        **metadata,
+    }
     if out is None:
         summary = evaluation.summary()
         summary["conditions"] |= conditions
@@ -360,6 +381,8 @@ def write_evaluation(
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "evaluation", summary)
         save_figure(experiments_figure(evaluation.recording), folder, "experiments")
+        held = held_figure(evaluation.recording, settled_band(evaluation.reachable))
+        save_figure(held, folder, "held")
         if evaluation.moving:
             save_figure(moving_figure(evaluation.moving), folder, "moving")
         if evaluation.error_map is not None:

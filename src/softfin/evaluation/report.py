@@ -37,8 +37,8 @@ from softfin.storage.figures import (
     with_minus_signs,
 )
 
-Figures = Mapping[str, Figure]
-"""Figures by caption."""
+Figures = Mapping[str, Path]
+"""Files (.svg) by caption."""
 
 PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
@@ -195,7 +195,10 @@ def _force(reference: Iterable[float | int]) -> str:
 
 def _svgs(figures: Figures) -> dict[str, Markup]:
     # Safe to mark as HTML, because Matplotlib escapes all text in an SVG.
-    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
+    return {
+        caption: Markup(inline_svg(file.read_text("utf-8"), caption))
+        for caption, file in figures.items()
+    }
 
 
 def prediction_figure(

@@ -56,6 +56,7 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
 @lock_output
 def map_forces(
     plant: Annotated[PlantLike, PLANT],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     clock: Annotated[str | None, CLOCK] = None,
@@ -147,6 +148,7 @@ def _describe_map(values: JsonObject) -> str:
 @lock_output
 def train(
     surrogate: Annotated[PlantLike, Parameter(metavar="SURROGATE")],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     controller: PolicyLayout | None = None,
@@ -269,6 +271,7 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
 
 def export(
     folder: Annotated[PathLike, DIR],
+    /,
     *,
     onnx: Annotated[PathLike, FILE],
     overwrite: bool = False,

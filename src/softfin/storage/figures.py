@@ -62,19 +62,18 @@ def save_figure(
         artifacts.write_file(folder / f"{name}.{kind}", _render(figure, kind))
 
 
-def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
+def _render(figure: Figure, kind: str) -> bytes:
     buffer = io.BytesIO()
     with styled():
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
-        figure.savefig(buffer, format=kind, metadata=metadata, transparent=transparent)
+        figure.savefig(buffer, format=kind, metadata=metadata)
     return buffer.getvalue()
 
 
-def inline_svg(figure: Figure, name: str) -> str:
-    """Return an ``<svg>`` element for a page. Elements with different names or contents share no
-    ids."""
-    text = _render(figure, "svg", transparent=True).decode()
-    text = text[text.index("<svg") :]
+def inline_svg(svg: str, name: str) -> str:
+    """Return the content of an ``.svg`` file as an element for a page. Elements with different
+    names or contents share no ids."""
+    text = svg[svg.index("<svg") :]
     # Matplotlib's ids repeat between figures, and ids must be unique within a page.
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{prefix}-", text)
