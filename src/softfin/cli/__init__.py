@@ -58,7 +58,6 @@ GROUPS = {
     "Rig": {
         "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
         "rig zero": Command("rig", "zero the angle and the force"),
-        "rig commission": Command("rig", "run the acceptance steps for a new rig"),
         "rig stop": Command("rig", "stop the motor and switch it off"),
         "rig emulate": Command("rig", "emulate a rig without hardware"),
         "run": Command("driving", "hold reference forces on the real fin"),

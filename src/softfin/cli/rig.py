@@ -20,6 +20,7 @@ from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.drive_safety import UNCONFIRMED
 from softfin.rig.prove import prove_stop
+from softfin.rig.prove_moving import DEATHS, SWING_RAD, prove_moving
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.stop import SIGNAL_CHECK_S, ignored_termination, interrupted_by_signals
@@ -29,7 +30,10 @@ PROVING = (
     "the motor is powered and holds its position; softfin then sends no heartbeats until the "
     "drive stops by itself"
 )
-COMMISSIONING = "each step announces what moves before it moves"
+MOVING = (
+    f"{PROVING}; then the fin swings by {SWING_RAD:g} rad to both sides, and softfin is killed or "
+    f"suspended {2 * DEATHS} times, so keep a hand on the switch of the motor's supply"
+)
 ZEROING = "softfin sets the zero at the fin's current angle"
 ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
@@ -46,8 +50,12 @@ class RigCheckArguments(Armed, CommandOptions):
     """Print and acknowledge the drive's fault before the checks."""
     prove: bool = False
     """Prove that the drive stops if softfin dies. Powers the motor at rest; needs --arm."""
+    moving: bool = False
+    """With --prove, also kill and suspend softfin while it swings the fin."""
 
     def __call__(self) -> None:
+        if self.moving and not self.prove:
+            raise ConfigurationError("--moving: is part of the proof; add --prove")
         config = load_rig(self.rig)
         if self.reset_fault:
             with contextlib.closing(Rig(config)) as rig:
@@ -66,13 +74,19 @@ class RigCheckArguments(Armed, CommandOptions):
         # If the terminal closes, the motor must not stay powered: the drive's own stop is unproven.
         with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
             rig.drive.open()
-            self.confirm(RobotSetup(rig, config.safety), PROVING, needs_proof=False)
+            motion = MOVING if self.moving else PROVING
+            self.confirm(RobotSetup(rig, config.safety), motion, needs_proof=False)
             proof = prove_stop(config, rig.drive)
+            rig.close()
+            if self.moving:
+                proof = prove_moving(config, tell=lambda line: sys.stderr.write(f"{line}\n"))
         after_ms = 1000 * proof.faulted_after_s
         text = (
             f"{rig.name}: its drive stopped by itself {after_ms:.0f} ms after softfin's last "
             "heartbeat"
         )
+        if proof.moving is not None:
+            text += f"; in motion, {proof.moving.text}"
         self.tell(proof.model_dump(mode="json"), text)
 
 
@@ -116,58 +130,6 @@ class RigZeroArguments(Armed, CommandOptions):
         is_powered = rig.config.drive.ZERO_POWERS_MOTOR
         motion = ZEROING_POWERED if is_powered else ZEROING
         self.confirm(RobotSetup(rig, rig.config.safety), motion, needs_proof=is_powered)
-
-
-class RigCommissionArguments(Armed, CommandOptions):
-    """Run the acceptance steps for a new rig (docs/commissioning.md), and record and sign each
-    one."""
-
-    rig: File = RIG_FILE
-    """Rig configuration file."""
-    step: int | None = None
-    """Number of the step to run (default: the first one not yet passed)."""
-    weight: float | None = None
-    """Mass of the weight for step 3 in kg (default: 1 for a force limit of 30 N, in proportion)."""
-
-    def __call__(self) -> None:
-        from softfin.rig.commissioning.commission import commission_step
-        from softfin.rig.commissioning.form import STEP_TITLES, form_file, load_form
-        from softfin.rig.commissioning.operator import TerminalOperator
-        from softfin.rig.commissioning.steps import choose_weight
-
-        config = load_rig(self.rig)
-        if config.emulation is not None:
-            raise ConfigurationError(
-                f"{self.rig}: an emulated rig cannot be commissioned, because it has no shaft or "
-                "cables; use the file of a real rig (docs/commissioning.md)"
-            )
-        if self.step not in (None, *STEP_TITLES):
-            raise ConfigurationError(
-                f"--step {self.step}: unknown step; use a number from 1 to {len(STEP_TITLES)}"
-            )
-        if self.yes:
-            raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
-        weight_kg = choose_weight(config, self.weight)
-        self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, needs_proof=False)
-        operator = TerminalOperator()
-        number = self.step or load_form(self.rig).next_step(config)
-        while number is not None:
-            # Some steps power the motor here, others move it from a child process.
-            with interrupted_by_signals():
-                step = commission_step(
-                    self.rig, config, number, operator, REAL, weight_kg=weight_kg
-                )
-            if not step.passed:
-                failed = next(item.what for item in step.items if not item.passed)
-                raise DeviceError(
-                    f"step {number}: {failed}: requirement not met; fix the cause, then run this "
-                    "command again"
-                )
-            number = None if self.step else load_form(self.rig).next_step(config)
-        form = form_file(self.rig).with_suffix(".md")
-        left = load_form(self.rig).next_step(config)
-        rest = "all steps are passed and signed" if left is None else f"next is step {left}"
-        self.tell({"form": str(form), "next_step": left}, f"{form}: {rest}")
 
 
 class RigEmulateArguments(Common):

@@ -47,8 +47,8 @@ class DeviceConfig(Configuration):
     def _serialize(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         values: dict[str, Any] = handler(self)
         values.pop("type", None)
-        # The default type is left out: collections and signed commissioning steps from before there
-        # were types must stay equal to the rig's configuration.
+        # The default type is left out: collections from before there were types must stay equal
+        # to the rig's configuration.
         return values if self.type == self.DEFAULT_TYPE else {"type": self.type} | values
 
 

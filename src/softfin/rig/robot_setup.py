@@ -23,8 +23,6 @@ class RobotSetup:
     """Rest time before each log or experiment [s]."""
     configuration: JsonObject = field(default_factory=dict)
     """Complete configuration, for JSON."""
-    warning: str | None = None
-    """Warning if the machine has not been commissioned."""
 
     def check_ready(self) -> None:
         """Raise RigError if the open machine must not move yet, according to its own `check_ready`
@@ -60,7 +58,6 @@ def find_robot(name: str) -> RobotSetup:
     kind, _, file = name.partition(":")
     path = Path(file) if file else None
     if kind == "rig":
-        from softfin.rig.commissioning.form import load_form
         from softfin.rig.config import load_rig
         from softfin.rig.rig import Rig
 
@@ -69,13 +66,7 @@ def find_robot(name: str) -> RobotSetup:
         values = rig.model_dump(
             mode="json", exclude={"emulation"} if rig.emulation is None else None
         )
-        # Emulated rigs do not need commissioning.
-        warning = (
-            None
-            if rig.emulation is not None or rig.file is None
-            else load_form(rig.file).warning(rig)
-        )
-        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values, warning)
+        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values)
     if kind == "ros2":
         from softfin.rig.config import load_ros2
         from softfin.rig.ros2.plant import Ros2Machine

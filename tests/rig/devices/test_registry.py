@@ -30,7 +30,7 @@ def test_a_file_without_types_means_the_epos2_and_the_axia80_and_is_kept_as_it_w
     assert isinstance(config.drive, Epos2Config)
     assert isinstance(config.sensor, Axia80Config)
     dumped = config.model_dump(mode="json")
-    # Claims of collections and signed commissioning steps from before there were types stay equal.
+    # Claims of collections from before there were types stay equal.
     assert "type" not in dumped["drive"]
     assert "type" not in dumped["sensor"]
     assert RigConfig.build(dumped) == config
