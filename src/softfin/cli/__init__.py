@@ -61,7 +61,7 @@ GROUPS = {
         "rig stop": Command("rig", "stop the motor and switch it off"),
         "rig emulate": Command("rig", "emulate a rig without hardware"),
         "run": Command("driving", "hold reference forces on the real fin"),
-        "monitor": Command("rig", "watch a recording in progress"),
+        "monitor": Command("rig", "watch a recording in progress on a web page"),
         "ros2": Command("driving", "hold reference forces from a ROS 2 topic on the real fin"),
     },
     "Robots": {

@@ -2,15 +2,12 @@
 recording."""
 
 import contextlib
-import json
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
-from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
@@ -200,41 +197,21 @@ class RigEmulateArguments(Common):
 
 
 class MonitorArguments(CommandOptions):
-    """Watch a recording in progress. Ctrl-C ends the monitor, not the recording."""
+    """Watch a recording in progress on a web page. Ctrl-C ends the page, not the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
     """Bag (.mcap) to watch, or a folder of bags (the newest is watched)."""
-    web: bool = False
-    """Serve a page with live traces instead of printing to the terminal."""
     port: int = 8080
-    """Port of the page; 0 for any free port."""
-    host: str = LOOPBACK
-    """Address of the page. Anyone who can reach it can see the recording."""
+    """Port of the page on this computer; 0 for any free port."""
 
     def __call__(self) -> None:
-        from rich.console import Console
-
         from softfin.rig.monitor.follow import Follower
-        from softfin.rig.monitor.terminal import watch
         from softfin.rig.monitor.web import Server
 
-        follower = Follower(self.run_folder)
-        # Ending a monitor is not a failure: exit code 0.
-        with contextlib.suppress(KeyboardInterrupt):
-            if self.json_:
-                follower.poll()
-                while (summary := follower.summary())["state"] == "reading" and summary[
-                    "problem"
-                ] is None:
-                    follower.poll()
-                sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
-            elif self.web:
-                with Server(follower, self.host, self.port) as server:
-                    if self.host not in (LOOPBACK, "::1", "localhost"):
-                        sys.stderr.write(
-                            f"warning: {self.host}: the page has no password; others can watch\n"
-                        )
-                    sys.stderr.write(f"{server.address} shows the recording; press Ctrl-C to end\n")
-                    server.serve_forever()
-            else:
-                watch(follower, Console(), sleep=time.sleep)
+        # Ending a page is not a failure: exit code 0.
+        with (
+            contextlib.suppress(KeyboardInterrupt),
+            Server(Follower(self.run_folder), self.port) as server,
+        ):
+            sys.stderr.write(f"{server.address} shows the recording; press Ctrl-C to end\n")
+            server.serve_forever()

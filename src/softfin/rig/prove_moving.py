@@ -304,8 +304,8 @@ def _look(
     most_rad = max(WAY_RAD, swing.velocity_rad_s * swing.silence_s)
     if way_rad > most_rad:
         raise DeviceError(
-            f"fin turned by {way_rad:.2f} rad after softfin had died, at most {most_rad:.2f} rad is "
-            f"allowed; {fix}"
+            f"fin turned by {way_rad:.2f} rad after softfin had died, allowed are {most_rad:.2f}; "
+            f"{fix}"
         )
     return Death(way_rad, seen_s)
 
