@@ -11,13 +11,13 @@ from softfin import installation
 from softfin.installation import EXTRAS
 from softfin.rig import doctor
 from softfin.rig.device import CheckResult
-from softfin.rig.doctor import examine
+from softfin.rig.doctor import doctor
 from tests.patience import HANG_S
 from tests.rig.rigs import filed, simulated
 
 
 def results(rig: Path | None = None) -> dict[str, CheckResult]:
-    return {result.what: result for result in examine(rig)}
+    return {result.what: result for result in doctor(rig=rig)}
 
 
 @pytest.fixture

@@ -1,12 +1,9 @@
 """Commands that let a controller drive a real fin: ``run`` with live references, ``ros2`` as a
 node; no JAX."""
 
-import contextlib
 import functools
-import os
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from softfin.cli.common import (
@@ -18,7 +15,6 @@ from softfin.cli.common import (
     LivePlant,
     NodeOptions,
     ReferenceFile,
-    on_terminal,
 )
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
@@ -26,9 +22,9 @@ from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.gaits.reachable import force_decimals
+from softfin.rig.arming import listen_on_terminal, say
 from softfin.rig.loop import (
     ActionResult,
     LiveReference,
@@ -39,7 +35,7 @@ from softfin.rig.loop import (
 from softfin.rig.robot_setup import RobotSetup, find_robot
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session, mean_force
-from softfin.rig.stop import StopRequest, listen_to_keyboard
+from softfin.rig.stop import StopRequest
 from softfin.storage import artifact as artifacts
 
 
@@ -130,54 +126,6 @@ class Driving(Armed, Common):
             f"{result['bag']}: {result['seconds']:.1f} s, error over the last "
             f"{result['window_s']:g} s {errors} N",
         )
-
-
-def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Request a stop on Enter or when the terminal's input ends; call `line` with any other
-    input."""
-    if on_terminal() and not _in_background():
-        listen_to_keyboard(stop, line, typed(stop, sys.stdin))
-
-
-def _in_background() -> bool:
-    """Whether this is a background job (&): reading would suspend it, in the middle of a motion."""
-    try:
-        return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
-    except OSError:
-        # A terminal that does not control this session has no job control.
-        return False
-
-
-def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Yield the lines typed on the terminal. If they end or are not text, request an emergency
-    stop, because no key can stop the fin any more."""
-    with contextlib.suppress(OSError, ValueError):
-        yield from terminal
-    stop.ask(
-        "emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin"
-    )
-
-
-class KeyboardStop:
-    """Stops a stage when the operator presses Enter, once the motion is confirmed."""
-
-    def __init__(self, confirm: Callable[[RobotSetup], None]) -> None:
-        self.stop = StopRequest()
-        """Stop request that Enter triggers."""
-        self._confirm = confirm
-
-    def confirm(self, robot: RobotSetup) -> None:
-        """Ask whether the fin may move, then listen for Enter; raises ConfigurationError if it may
-        not."""
-        self._confirm(robot)
-        listen_on_terminal(
-            self.stop, lambda _: say("the commands are fixed; press Enter alone to stop the fin")
-        )
-
-
-def say(text: str) -> None:
-    """Print a line on the terminal."""
-    sys.stderr.write(printable(text) + "\n")
 
 
 def _follow(

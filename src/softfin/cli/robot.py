@@ -11,11 +11,10 @@ from softfin.cli.common import (
     Out,
     Repeats,
     folder_option,
-    on_terminal,
     plant,
-    progress,
 )
 from softfin.cli.options import Option
+from softfin.cli.output import progress
 from softfin.core.json_object import JsonObject
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
@@ -107,7 +106,7 @@ class RobotRos2Arguments(NodeOptions):
     """Maximum mean force that each fin can produce in every direction [N]."""
 
     def __call__(self) -> None:
-        from softfin.cli.driving import say, typed
+        from softfin.rig.arming import on_terminal, say, typed
         from softfin.rig.ros2.plant import open_transport
         from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
         from softfin.robot.description import load_robot
@@ -154,7 +153,7 @@ def _reach_lines(found: JsonObject) -> list[str]:
 
 def _error_table(found: JsonObject) -> list[str]:
     """Return the wrench errors of an evaluation, one line per axis."""
-    from softfin.cli.tables import aligned
+    from softfin.stages.tables import aligned
 
     config = found["configuration"]
     fins = "all fins" if found["dead"] is None else f"{found['dead']} dead"

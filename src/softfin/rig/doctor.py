@@ -8,8 +8,10 @@ import platform
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
 
-from softfin.core.errors import SoftfinError, one_line
+from softfin.core.errors import RunError, SoftfinError, one_line
+from softfin.core.option_types import FILE, PathLike
 from softfin.core.program_cache import SOFTFIN_VARIABLE, cache_folder
 from softfin.installation import (
     EXTRAS,
@@ -21,8 +23,9 @@ from softfin.installation import (
 )
 from softfin.rig.check import check_disk, check_rig
 from softfin.rig.config import load_rig
-from softfin.rig.device import CheckResult
+from softfin.rig.device import CheckResult, failing
 from softfin.storage.artifact import check_writable
+from softfin.storage.paths import check_readable
 
 INTERFACES = Path("/sys/class/net")
 """Linux network interfaces, with the type and state of each."""
@@ -49,14 +52,32 @@ THREADS = (
 """Environment variables that set the number of threads and the compute device."""
 
 
-def examine(rig: Path | None = None) -> Iterator[CheckResult]:
-    """Yield each result as soon as it is available, with the user's home folder shortened to ~."""
+def doctor(*, rig: Annotated[PathLike | None, FILE] = None) -> Iterator[CheckResult]:
+    """Check the installation, devices, disk and bus of this computer; nothing moves. Paste the
+    output into bug reports.
+
+    Args:
+        rig: Also check the drive and the sensor of this rig, as softfin rig check does.
+
+    Yields:
+        Each result as soon as it is available, with the user's home folder shortened to ~.
+
+    Raises:
+        RunError: A check has failed.
+
+    Example:
+        >>> for result in softfin.doctor():
+        ...     print(result)
+    """
     try:
         home = str(Path.home())
     except RuntimeError:
         # The user has no home folder, e.g. in some containers.
         home = ""
-    for result in _examine(rig):
+    if rig is not None:
+        check_readable(Path(rig))
+    results = _examine(None if rig is None else Path(rig))
+    for result in failing(results, RunError):
         yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
 
 

@@ -8,7 +8,13 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
-from softfin.evaluation.results import EvaluationSummary, MeanScores
+from softfin.evaluation.results import (
+    ErrorMapRows,
+    EvaluationSummary,
+    MeanScores,
+    MovingRow,
+    RandomErrors,
+)
 
 TABLE_TWO_TITLES = ("x error", "x std", "y error", "y std")
 
@@ -128,3 +134,72 @@ def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:
         return ""
     x, y = (f"{force:.{decimals}f}" for force in held)
     return f"  unreachable: tracks ({x}, {y}) N instead"
+
+
+def evaluation_tables(summary: EvaluationSummary) -> str:
+    """Return Table II, followed by the parts of the evaluation that were requested."""
+    decimals = error_decimals(summary)
+    lines = [table_two({summary["conditions"]["kind"]: summary})]
+    if "moving" in summary:
+        lines.append(moving_table(summary["moving"], decimals))
+    if "error_map" in summary:
+        lines.append(map_line(summary["error_map"], decimals))
+    if "random" in summary:
+        lines.append(random_line(summary["random"], decimals))
+    if summary["warning"] is not None:
+        lines.append(f"warning: {summary['warning']}")
+    return "\n".join(lines)
+
+
+def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
+    """Return one line per moving reference: its errors, and the longest settling time of its steps
+    over all seeds."""
+    cells = [["moving references", "x error", "y error", "settles in"]]
+    for row in rows:
+        # None: the signal has no steps.
+        settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[
+            row["settles"]
+        ]
+        cells.append(
+            [
+                f"  {row['described']}",
+                f"{row['x']['error_n']:.{decimals}f}",
+                f"{row['y']['error_n']:.{decimals}f}",
+                settling,
+            ]
+        )
+    return "\n".join(aligned(cells))
+
+
+def map_line(errors: ErrorMapRows, decimals: int) -> str:
+    """Return the error map as one line."""
+    (x0, y0) = errors["low_n"]
+    (x1, y1) = errors["high_n"]
+    gaps = ""
+    if errors["not_covered"]:
+        gaps += f", {errors['not_covered']} not covered"
+    if errors["not_reachable"]:
+        gaps += f", {errors['not_reachable']} unreachable"
+    mean = _pair(errors["mean_x_n"], errors["mean_y_n"], decimals)
+    worst = _pair(errors["worst_x_n"], errors["worst_y_n"], decimals)
+    return (
+        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
+        f"{y0:g} .. {y1:g} N{gaps}: mean {mean}, worst {worst} N"
+    )
+
+
+def random_line(errors: RandomErrors, decimals: int) -> str:
+    """Return the errors over random references as one line."""
+    x = errors["x"]
+    y = errors["y"]
+    mean = _pair(x["mean_n"], y["mean_n"], decimals)
+    p95 = _pair(x["p95_n"], y["p95_n"], decimals)
+    worst = _pair(x["worst_n"], y["worst_n"], decimals)
+    return (
+        f"{errors['count']} random references: error x, y mean {mean}, 95% within {p95}, "
+        f"worst {worst} N"
+    )
+
+
+def _pair(x: float, y: float, decimals: int) -> str:
+    return f"{x:.{decimals}f}, {y:.{decimals}f}"
