@@ -28,9 +28,9 @@ from softfin.control.controller import LoadedController, Measured
 from softfin.control.store import load_controller
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig

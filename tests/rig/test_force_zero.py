@@ -4,9 +4,9 @@ import math
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.axia80 import sensor_pages
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig
-from softfin.rig.devices.axia80.emulated_sensor import sensor_pages
 from softfin.rig.devices.axia80.rdt import RdtCommand
 from softfin.rig.force_zero import has_restarted
 from softfin.rig.record import ForceZero, load_record, record_file

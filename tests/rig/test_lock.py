@@ -11,12 +11,12 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.core.errors import RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig import lock as locks
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig.lock import DeviceLock
 from softfin.rig.rig import Rig, zero_force
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 from tests.patience import HANG_S, wait_until
 from tests.rig.rigs import config_of, patient

@@ -24,16 +24,16 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import USUAL
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2.emulated_drive import USUAL
 from softfin.rig.devices.epos2.protocol import State
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.patience import HANG_S
 from tests.rig.bags import events_of
 from tests.rig.deaths import DRIVE, Station, cut, swim_by_values

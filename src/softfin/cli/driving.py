@@ -280,11 +280,11 @@ class Ros2Arguments(NodeOptions, Driving):
     stops when references stop arriving."""
 
     def __call__(self) -> None:
+        from softfin.emulation.clock import SimulatedClock
         from softfin.rig.machine import machine_clock
         from softfin.rig.ros2.config import NodeConfig
         from softfin.rig.ros2.node import RosNode, default_reference_limit
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
-        from softfin.rig.simulated_clock import SimulatedClock
 
         defaults = NodeConfig() if self.fin is None else NodeConfig.of_fin(self.fin)
         topics = self.configured(defaults, connection=self.connection)

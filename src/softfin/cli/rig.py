@@ -192,7 +192,7 @@ class RigEmulateArguments(Common):
             raise ConfigurationError(
                 f"{self.rig}: already exists; set another --rig, or use --overwrite to replace it"
             )
-        from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
+        from softfin.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)

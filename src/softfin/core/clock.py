@@ -3,7 +3,7 @@ simulated as fast as the computer allows.
 
 All waiting goes through a clock: it creates the threads, events, locks and conditions, which must
 only be used with the clock that created them. The simulated clock is in
-`softfin.rig.simulated_clock`.
+`softfin.emulation.clock`.
 """
 
 import threading

@@ -8,13 +8,13 @@ from pathlib import Path
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.config import RigConfig
 from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
 from softfin.rig.prove import check_proof
 from softfin.rig.rig import Rig
-from softfin.rig.simulated_clock import SimulatedClock
 
 NEEDED_MB = 500
 """Free disk space for a few hours of recording at about 40 kB/s [MB]."""

@@ -20,8 +20,8 @@ from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
+from softfin.emulation.fin import EmulatedFin
 from softfin.rig.bus import BusConfig
-from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 

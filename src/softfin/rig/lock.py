@@ -18,7 +18,7 @@ from pathlib import Path
 from softfin.core.clock import Clock
 from softfin.core.errors import RigError
 from softfin.core.file_lock import describe_holder, find_holder, lock_file
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
 
 LOCK_FOLDER = Path("/run/lock")
 """Folder for device locks on Linux (FHS 3.0), often writable by every user."""

@@ -23,7 +23,7 @@ class Rig:
         self._save: Callable[[], None] = lambda: None
         if clock is None and config.emulation is not None:
             # Imported here because a real rig does not need the tank.
-            from softfin.rig.emulation.rig import kept_rig
+            from softfin.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
             clock = emulated.clock

@@ -13,6 +13,7 @@ import numpy as np
 from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError, RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
+from softfin.emulation.clock import SimulatedClock
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
 from softfin.rig.check import check_currents, check_rig
 from softfin.rig.commissioning.form import Item
@@ -38,7 +39,6 @@ from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.safety import FORCE_PEAK_N
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
 CHECKS = 10

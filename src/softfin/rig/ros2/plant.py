@@ -18,6 +18,8 @@ from rosbags.typesys.store import Typestore
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.ros2 import SimulatedTransport
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
@@ -31,9 +33,7 @@ from softfin.rig.ros2.connection import (
     read_joint,
     read_wrench,
 )
-from softfin.rig.ros2.simulated import SimulatedTransport
 from softfin.rig.safety import check_target
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import (
     JOINT_STATE,
     SECOND_NS,

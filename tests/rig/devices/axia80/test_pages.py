@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.axia80 import sensor_pages, serve_pages
 from softfin.rig.devices.axia80 import pages
-from softfin.rig.devices.axia80.emulated_sensor import sensor_pages, serve_pages
 from softfin.rig.devices.axia80.pages import (
     MAX_PAGE_BYTES,
     SETTINGS,

@@ -5,15 +5,15 @@ import re
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig import simulated_network
+from softfin.emulation import network as simulated_network
+from softfin.emulation.axia80 import EmulatedAxia80
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import FinMotion
+from softfin.emulation.network import DATE, SimulatedSocket
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
 from softfin.rig.devices.axia80.rdt import BUSY, OVER_RANGE, RdtCommand, encode_request
 from softfin.rig.devices.axia80.sensor import Axia80
-from softfin.rig.emulated_fin import FinMotion
 from softfin.rig.safety import SafetyConfig
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import DATE, SimulatedSocket
 from tests.rig.devices.axia80.faulty_network import FaultyNetwork
 from tests.rig.still_fin import StillFin
 

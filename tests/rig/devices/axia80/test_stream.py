@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import DATE, SimulatedSocket
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import RdtRecord, encode_record
 from softfin.rig.devices.axia80.stream import Arrival, ForceStream
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import DATE, SimulatedSocket
 from softfin.rig.stream_clock import StreamClock
 
 CONFIG = Axia80Config(address="127.0.0.1", frame="x,y")

@@ -11,10 +11,10 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.dynamixel import EmulatedServo
 from softfin.rig.devices.dynamixel import drive as driver
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.drive import Dynamixel
-from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
 from softfin.rig.machine import Target
 from tests import needs
 from tests.patience import HANG_S, wait_until

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import can
 
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import USUAL, DriveTraits, EmulatedDrive
+from softfin.emulation.network import open_bus
 from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import open_bus
 from tests.rig.simple_fin import SimpleFin
 
 NODE = 5

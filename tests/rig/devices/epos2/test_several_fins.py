@@ -9,14 +9,15 @@ import can
 import pytest
 
 from softfin.core.errors import RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2 import motor as emulated_motor
+from softfin.emulation.epos2.drive import USUAL, DriveTraits, EmulatedDrive
+from softfin.emulation.network import open_bus
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, protocol
+from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, State
 from softfin.rig.machine import Target
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import open_bus
 from tests.rig.devices.epos2.bench import bus_config, drive_config
 from tests.rig.simple_fin import SimpleFin
 

@@ -9,12 +9,12 @@ import pytest
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.lines import UDP_PORT, EmulatedLines
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.emulated_sensor import UDP_PORT, EmulatedLines
 from softfin.rig.devices.lines.parser import LagWatch
 from softfin.rig.devices.lines.sensor import lines_sensor
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.testing import check_force_sensor
 from tests.rig.still_fin import StillFin
 

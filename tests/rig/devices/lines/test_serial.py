@@ -5,9 +5,9 @@ import time
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.lines import EmulatedLines
 from softfin.rig import streamed_sensor
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
 from softfin.rig.devices.lines.sensor import lines_sensor
 from tests import needs
 from tests.patience import HANG_S

@@ -7,8 +7,8 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.core.errors import RigError
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.devices.ros2.config import TopicSensorConfig
-from softfin.rig.devices.ros2.emulated_sensor import EmulatedTopic
 from softfin.rig.devices.ros2.sensor import TopicSource, topic_sensor
 from softfin.rig.ros2.config import TransportConfig
 from tests import needs

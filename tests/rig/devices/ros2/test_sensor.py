@@ -7,10 +7,10 @@ from math import inf, nan
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.devices.ros2.config import TopicSensorConfig
-from softfin.rig.devices.ros2.emulated_sensor import EmulatedTopic
 from softfin.rig.devices.ros2.sensor import topic_sensor
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import SECOND_NS
 from softfin.testing import check_force_sensor
 from tests.rig.still_fin import StillFin

@@ -5,14 +5,14 @@ import math
 import pytest
 
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.rig import EmulatedRig
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.config import RigConfig
-from softfin.rig.devices.ros2.emulated_sensor import EmulatedTopic
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.rigs import values_of
 from tests.rig.still_fin import StillFin

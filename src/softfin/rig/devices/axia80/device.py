@@ -2,11 +2,11 @@
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.sensor import Axia80
-from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.simulated_clock import SimulatedClock
 
 
 def _emulated_config() -> Axia80Config:
@@ -15,7 +15,7 @@ def _emulated_config() -> Axia80Config:
 
 def _emulate(config: Axia80Config, fin: EmulatedFin, clock: Clock) -> EmulatedDevice:
     # Imported here because a real rig does not need it.
-    from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
+    from softfin.emulation.axia80 import EmulatedAxia80
 
     # In simulated time, the sensor can use its factory ports, because they exist only within this
     # process.

@@ -13,6 +13,8 @@ import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import fetch_simulated_page
 from softfin.rig.device import CheckResult, ForceReading, SampleCounter
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.pages import SensorSettings, fetch_page, read_settings
@@ -20,8 +22,6 @@ from softfin.rig.devices.axia80.rdt import RdtCommand, decode_status
 from softfin.rig.devices.axia80.stream import ForceStream
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Wrench, rotated
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to start [s]; the request is sent four times in this period, because

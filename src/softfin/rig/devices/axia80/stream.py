@@ -12,6 +12,8 @@ from jaxtyping import Float
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.device import ForceReading
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import (
@@ -24,8 +26,6 @@ from softfin.rig.devices.axia80.rdt import (
 from softfin.rig.devices.axia80.watch import StreamWatch
 from softfin.rig.filter import AntiAlias
 from softfin.rig.machine import Wrench, rotated, rotation
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.stream_clock import StreamClock
 
 BUFFER_BYTES = 4 * 1024 * 1024

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import Limits
+from softfin.emulation.fin import EmulatedFin
 from softfin.rig.bus import BusConfig
 from softfin.rig.device import DriveType, EmulatedDevice
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
-from softfin.rig.emulated_fin import EmulatedFin
 
 
 def _make(
@@ -54,7 +54,7 @@ def _emulate(
     config: DynamixelConfig, bus: BusConfig, fin: EmulatedFin, clock: Clock
 ) -> EmulatedDevice:
     # Imported here because a real rig does not need it.
-    from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
+    from softfin.emulation.dynamixel import EmulatedServo
 
     return EmulatedServo(config, fin, clock)
 

@@ -13,6 +13,8 @@ from typing import Protocol
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.protocol import (
     ALERT,
@@ -24,8 +26,6 @@ from softfin.rig.devices.dynamixel.protocol import (
     encode_packet,
 )
 from softfin.rig.serial_port import open_serial_port
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 SERVO_PORT = 47_471
 """Port of the socket of an emulated servo in simulated time."""

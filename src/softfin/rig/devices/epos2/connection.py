@@ -18,10 +18,10 @@ import can
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, one_line
+from softfin.emulation.network import open_bus
 from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.protocol import Object
-from softfin.rig.simulated_network import open_bus
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 from softfin.core.clock import Clock
 from softfin.core.quantities import Limits
+from softfin.emulation.fin import EmulatedFin
 from softfin.rig.bus import BusConfig
 from softfin.rig.device import DriveType, EmulatedDevice
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.emulated_fin import EmulatedFin
 
 
 def _make(
@@ -50,7 +50,7 @@ def _emulated_config(
 
 def _emulate(config: Epos2Config, bus: BusConfig, fin: EmulatedFin, clock: Clock) -> EmulatedDevice:
     # Imported here because a real rig does not need it.
-    from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
+    from softfin.emulation.epos2.drive import EmulatedDrive
 
     return EmulatedDrive(bus, config, fin, clock)
 

@@ -2,16 +2,16 @@
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.sensor import lines_sensor
-from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.simulated_clock import SimulatedClock
 
 
 def _emulated_config() -> LinesConfig:
     # Imported here because a real rig does not need it.
-    from softfin.rig.devices.lines.emulated_sensor import EMULATED_COLUMNS, UDP_PORT
+    from softfin.emulation.lines import EMULATED_COLUMNS, UDP_PORT
 
     values = {
         "columns": EMULATED_COLUMNS,
@@ -25,7 +25,7 @@ def _emulated_config() -> LinesConfig:
 
 
 def _emulate(config: LinesConfig, fin: EmulatedFin, clock: Clock) -> EmulatedDevice:
-    from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
+    from softfin.emulation.lines import EmulatedLines
 
     over = "udp" if isinstance(clock, SimulatedClock) else "serial"
     return EmulatedLines(fin, config.rate_hz, clock, over=over)

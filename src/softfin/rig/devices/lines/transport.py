@@ -12,10 +12,10 @@ from typing import NamedTuple, Protocol
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.serial_port import open_serial_port
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.streamed_sensor import queue_length
 
 WAIT_S = 0.05

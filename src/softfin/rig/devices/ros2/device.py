@@ -1,16 +1,16 @@
 """The type `ros2`: a force sensor behind a ROS 2 topic, and its emulator."""
 
 from softfin.core.clock import Clock
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.rig.devices.ros2.sensor import topic_sensor
-from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.simulated_clock import SimulatedClock
 
 
 def _emulated_config() -> TopicSensorConfig:
     # Imported here because a real rig does not need it.
-    from softfin.rig.devices.ros2.emulated_sensor import EMULATED_RATE_HZ
+    from softfin.emulation.topic import EMULATED_RATE_HZ
 
     values = {
         "topic": "/emulated/wrench",
@@ -22,7 +22,7 @@ def _emulated_config() -> TopicSensorConfig:
 
 
 def _emulate(config: TopicSensorConfig, fin: EmulatedFin, clock: Clock) -> EmulatedDevice:
-    from softfin.rig.devices.ros2.emulated_sensor import EmulatedTopic
+    from softfin.emulation.topic import EmulatedTopic
 
     # In real time, several emulated rigs may share this computer.
     topic = config.topic if isinstance(clock, SimulatedClock) else None

@@ -15,6 +15,10 @@ from typing import Protocol
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import SimulatedSocket
+from softfin.emulation.stream import Pty
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
 from softfin.rig.devices.dynamixel.link import SERVO_PORT
@@ -29,11 +33,7 @@ from softfin.rig.devices.dynamixel.protocol import (
     Refusal,
     encode_packet,
 )
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.emulated_stream import Pty
 from softfin.rig.safety import OVERSHOOT_RAD
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 SERVO_STEP_S = 0.01
 """Longest time between two looks at the bus watchdog [s]: half of its unit."""

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
 from softfin.core.json_object import JsonObject
-from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.emulated_stream import iterate_due, measure
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.emulation.stream import iterate_due, measure
 from softfin.rig.machine import Wrench, rotation
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.connection import Publisher

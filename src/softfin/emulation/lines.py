@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
-from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.rig.emulated_stream import Pty, iterate_due, measure
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.emulation.network import SimulatedSocket
+from softfin.emulation.stream import Pty, iterate_due, measure
 from softfin.rig.machine import rotation
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 UDP_PORT = 47_470
 """Port of an emulated sensor in simulated time."""

@@ -17,20 +17,21 @@ import canopen
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
-from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, protocol
-from softfin.rig.devices.epos2.config import Epos2Config, Units
-from softfin.rig.devices.epos2.emulated_motor import EmulatedMotor
-from softfin.rig.devices.epos2.emulated_objects import (
+from softfin.emulation.epos2 import motor as emulated_motor
+from softfin.emulation.epos2.motor import EmulatedMotor
+from softfin.emulation.epos2.objects import (
     OUT_OF_RANGE,
     READ_ONLY_OBJECTS,
     ProcessData,
     dictionary,
     values,
 )
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import open_bus
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2 import protocol
+from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.protocol import Bit, Object, State
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.simulated_network import open_bus
 
 MOTION_STEP_S = 0.005
 RECEIVE_TIMEOUT_S = 0.05

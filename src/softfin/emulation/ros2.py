@@ -4,8 +4,8 @@ immediately and in order, within one process."""
 import itertools
 from collections import deque
 
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
-from softfin.rig.simulated_clock import SimulatedClock
 
 _numbers = itertools.count(1)
 

@@ -18,17 +18,17 @@ import yaml
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
+from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import SIMULATED
+from softfin.emulation.tank import TankFin
 from softfin.rig.bus import BusConfig
 from softfin.rig.config import RigConfig
 from softfin.rig.device import DriveConfig, ForceSensorConfig
 from softfin.rig.devices.registry import find_drive, find_force_sensor
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.emulation.bus import HOST, SocketcandServer
-from softfin.rig.emulation.tank import TankFin
 from softfin.rig.lock import DeviceLock
 from softfin.rig.record import record_file
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 

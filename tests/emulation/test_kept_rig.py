@@ -7,9 +7,9 @@ import pytest
 
 from softfin.cli import main
 from softfin.core.errors import RigError
+from softfin.emulation.rig import kept_rig, rigs, state_file, write_simulated
+from softfin.emulation.tank import _tick
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import kept_rig, rigs, state_file, write_simulated
-from softfin.rig.emulation.tank import _tick
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.tank import Tank

@@ -19,6 +19,9 @@ import numpy as np
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
 from softfin.rig.devices.axia80.rdt import (
     BUSY,
@@ -28,10 +31,7 @@ from softfin.rig.devices.axia80.rdt import (
     decode_request,
     encode_record,
 )
-from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.machine import rotated, rotation
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Measuring range of the M20 [N, N m], not verified; loads beyond it are flagged and clipped."""

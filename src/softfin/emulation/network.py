@@ -10,7 +10,7 @@ import can
 from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import DeviceError
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
 
 SIMULATED = "simulated"
 """Value of `bus.interface` in a rig's file."""

@@ -1,8 +1,8 @@
 import socket
 
 from softfin.core.clock import REAL
+from softfin.emulation.rig import EmulatedRig, write_rig, write_simulated
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import EmulatedRig, write_rig, write_simulated
 from softfin.tank import Tank
 from tests.patience import HANG_S
 from tests.rig.simple_fin import SimpleFin

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.clock import Clock
-from softfin.rig.emulated_fin import EmulatedFin
+from softfin.emulation.fin import EmulatedFin
 from softfin.rig.machine import Wrench, rotated
 
 LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
