@@ -14,7 +14,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from softfin.core.clock import REAL, Clock
+from softfin.core.clock import Clock
 from softfin.core.errors import SoftfinError
 from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.bus import HOST, SocketcandServer
@@ -26,6 +26,7 @@ from softfin.emulation.epos2.drive import (
     EmulatedDrive,
 )
 from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.protocol import UNPOWERED, State
@@ -247,7 +248,7 @@ def swim(session: Session, seed: int) -> None:
             pass
 
 
-def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = REAL) -> None:
+def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = COMPUTER) -> None:
     """Be the host of a fin until its session ends."""
     rig = Rig(RigConfig.build(values, values["fin"]), clock)
     try:

@@ -11,10 +11,10 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.core.clock import REAL
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.epos2.objects import values as drive_values
 from softfin.emulation.rig import EmulatedRig, rigs
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.record import RigRecord, StopProof, save_record
@@ -99,7 +99,7 @@ def over_sockets(path: Path, sensor: str = "axia80") -> Iterator[EmulatedRig]:
     with (
         patient(),
         unshared_loopback(),
-        EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind,
+        EmulatedRig(fin=SimpleFin(), clock=COMPUTER, sensor=sensor) as behind,
     ):
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
         values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}

@@ -374,7 +374,7 @@ class TestCommand:
     @pytest.fixture
     def command(self, site, monkeypatch):
         site.file.write_text(yaml.safe_dump(site.values))
-        monkeypatch.setattr("softfin.cli.rig.REAL", site.behind.clock)
+        monkeypatch.setattr("softfin.cli.rig.COMPUTER", site.behind.clock)
         monkeypatch.setattr(
             "softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator
         )

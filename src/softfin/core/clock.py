@@ -18,6 +18,9 @@ shortest time that is treated as a suspend."""
 class Clock:
     """The computer's own clock; waits using `threading`."""
 
+    is_simulated = False
+    """Whether time is simulated: devices on the clock exist only in this process."""
+
     def __call__(self) -> float:
         """Return the monotonic time [s]."""
         return time.monotonic()

@@ -4,22 +4,14 @@ Each line contains a counter, force x and force y [N] of an emulated fin, with n
 """
 
 import contextlib
-import socket
 from collections.abc import Callable, Iterable
 
 from softfin.core.choices import LOOPBACK
-from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
-from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.emulation.network import SimulatedSocket
 from softfin.emulation.stream import Pty, iterate_due, measure
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.machine import rotation
-
-UDP_PORT = 47_470
-"""Port of an emulated sensor in simulated time."""
-
-EMULATED_COLUMNS = ("count", "force_x", "force_y")
 
 
 class EmulatedLines:
@@ -30,11 +22,12 @@ class EmulatedLines:
         self,
         fin: EmulatedFin,
         rate_hz: float,
-        clock: Clock = REAL,
+        clock: Computer = COMPUTER,
         frame: str = SENSOR_MOUNTING,
-        over: str = "udp",
+        udp_port: int | None = 0,
     ) -> None:
-        """`over` is udp or serial; there are no serial ports in simulated time."""
+        """The sensor sends to `udp_port`, to a free port if it is 0, and over a pseudo-terminal if
+        it is None."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda line: (line,)
         """Function that maps a sent line to the bytes that arrive; tests may cut, double, lose or
         change lines."""
@@ -47,7 +40,7 @@ class EmulatedLines:
         self._values = (0.0, 0.0)
         self._silent_until = 0.0
         self._closing = clock.event()
-        self._link: _Serial | _Udp = _Serial() if over == "serial" else _Udp(clock)
+        self._link: _Serial | _Udp = _Serial() if udp_port is None else _Udp(clock, udp_port)
         self._thread = clock.spawn(self._run, "emulated line sensor")
 
     def address(self) -> JsonObject:
@@ -110,16 +103,12 @@ class _Serial(Pty):
 class _Udp:
     """A socket that sends to this computer."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._socket: socket.socket | SimulatedSocket
-        port = UDP_PORT
-        if isinstance(clock, SimulatedClock):
-            self._socket = SimulatedSocket(clock, LOOPBACK)
-        else:
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-                free.bind((LOOPBACK, 0))
-                port = free.getsockname()[1]
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def __init__(self, clock: Computer, port: int) -> None:
+        free = clock.udp_socket()
+        free.bind((LOOPBACK, port))
+        port = int(free.getsockname()[1])
+        free.close()
+        self._socket = clock.udp_socket()
         self.address: JsonObject = {"address": LOOPBACK, "udp_port": port}
 
     def send(self, data: bytes) -> None:

@@ -1,16 +1,18 @@
-"""In-process connections to emulated devices, in simulated time: CAN bus, UDP sockets and web
-pages."""
+"""In-process connections to emulated devices, in simulated time: CAN bus, UDP sockets and serial
+lines."""
 
 import copy
 import itertools
+import socket
 from collections import deque
+from typing import Any
 
 import can
 
-from softfin.core.clock import Clock
-from softfin.core.configuration import Configuration
-from softfin.core.errors import DeviceError
-from softfin.emulation.clock import SimulatedClock
+from softfin.core.choices import LOOPBACK
+from softfin.emulation.time import SimulatedTime
+from softfin.rig.computer import Address
+from softfin.rig.devices.axia80.stream import SO_TIMESTAMPNS, STAMP
 
 SIMULATED = "simulated"
 """Value of `bus.interface` in a rig's file."""
@@ -22,30 +24,17 @@ RMEM_MAX_BYTES = 212_992
 TRUESIZE_BYTES = 768
 """Memory that Linux accounts for a datagram with one record [bytes], most of which is overhead."""
 
-DATE = "date"
-"""Key in a clock's `shared` for the offset of the wall clock from the clock [s]; 0 if missing.
-Tests may set it."""
+LINE = 1
+"""Port of the device's end of a serial line; its host is the line's name."""
 
 _free_ports = itertools.count(50_000)
-
-
-def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
-    """Open the bus of an `rig.bus.BusConfig`, whose fields are arguments of python-can; raises
-    python-can's errors.
-
-    On a simulated clock, this is an in-process bus, regardless of the interface.
-    """
-    settings = config.model_dump()
-    if isinstance(clock, SimulatedClock):
-        return SimulatedBus(clock, settings["channel"])
-    return can.Bus(**settings.pop("options"), **settings)
 
 
 class SimulatedBus(can.BusABC):
     """A bus on which all participants with the same clock and channel receive each other's frames
     immediately and in order."""
 
-    def __init__(self, clock: SimulatedClock, channel: str) -> None:
+    def __init__(self, clock: SimulatedTime, channel: str) -> None:
         super().__init__(channel)
         self._clock = clock
         self._frames: deque[can.Message] = deque()
@@ -80,50 +69,50 @@ class SimulatedBus(can.BusABC):
             raise can.CanOperationError("the bus is shut down")
 
 
-def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
-    """Return a page of an emulated sensor, or None if it does not exist; raises DeviceError if
-    there is no server."""
-    pages: dict[str, bytes] | None = clock.shared.get(("http", host, port))
-    if pages is None:
-        raise DeviceError(
-            f"http://{host}:{port}{path}: cannot read the force sensor's page (no server); check "
-            "its power, cable, address and http_port"
-        )
-    return pages.get(path)
-
-
 class SimulatedSocket:
-    """A bound UDP socket with the methods that softfin uses; `receive` waits up to `timeout` [s].
+    """A UDP socket on the loopback address, with the methods that softfin uses.
 
     As on Linux, the buffer size is in bytes, a full buffer drops new datagrams, and each datagram
     has a timestamp from the wall clock, which may be changed.
     """
 
     def __init__(
-        self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0
+        self, clock: SimulatedTime, host: str = LOOPBACK, port: int = 0, timeout: float = 0.0
     ) -> None:
         self._clock = clock
         self.timeout = timeout
         self.address = (host, port or next(_free_ports))
         clock.shared[self.address] = self
-        self._peer: tuple[str, int] | None = None
-        self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
+        self._peer: Address | None = None
+        self._received: deque[tuple[bytes, float, Address]] = deque()
 
     @property
     def has_room(self) -> bool:
         """Whether the buffer has space for another datagram."""
         return len(self._received) * TRUESIZE_BYTES <= 2 * RMEM_MAX_BYTES
 
-    def date(self) -> float:
-        """Return the wall-clock time [s]."""
-        ahead: float = self._clock.shared.get(DATE, 0.0)
-        return self._clock() + ahead
+    def bind(self, address: Address) -> None:
+        """Move to an address; an empty host is the loopback address, and port 0 a free one."""
+        del self._clock.shared[self.address]
+        self.address = (address[0] or LOOPBACK, address[1] or next(_free_ports))
+        self._clock.shared[self.address] = self
+
+    def getsockname(self) -> Address:
+        """Return the socket's address."""
+        return self.address
 
     def fileno(self) -> int:
         """Return -1 if the socket is closed, otherwise 0."""
         return 0 if self._clock.shared.get(self.address) is self else -1
 
-    def connect(self, address: tuple[str, int]) -> None:
+    def setsockopt(self, level: int, option: int, value: int) -> None:
+        """Do nothing: the buffer always has its largest size, and datagrams are timestamped."""
+
+    def settimeout(self, seconds: float | None) -> None:
+        """Set the longest wait for a datagram [s]."""
+        self.timeout = seconds or 0.0
+
+    def connect(self, address: Address) -> None:
         """Set the only address to send to and receive from."""
         self._peer = address
 
@@ -132,19 +121,34 @@ class SimulatedSocket:
         assert self._peer is not None
         return self.sendto(data, self._peer)
 
-    def sendto(self, data: bytes, address: tuple[str, int]) -> int:
+    def sendto(self, data: bytes, address: Address) -> int:
         """Send a datagram, which is lost if there is no receiver or its buffer is full."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
         # A connected socket receives only from its peer.
         if receiver is not None and receiver._peer in (None, self.address) and receiver.has_room:
-            receiver._received.append((bytes(data), self.date(), self.address))
+            receiver._received.append((bytes(data), self._clock.wall(), self.address))
         return len(data)
 
-    def receive(self) -> tuple[bytes, float, tuple[str, int]]:
-        """Return a datagram, its arrival time on the wall clock [s] and its sender; raises
-        BlockingIOError if none arrives in time."""
+    def recvfrom(self, size: int) -> tuple[bytes, Address]:
+        """Return a datagram and its sender; raises BlockingIOError if none arrives in time."""
+        data, _, sender = self._receive()
+        return data[:size], sender
+
+    def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[Any], int, Address]:
+        """Return a datagram with the wall-clock time of its arrival, as the kernel does."""
+        data, wall_s, sender = self._receive()
+        seconds, fraction = divmod(wall_s, 1.0)
+        stamp = STAMP.pack(int(seconds), round(fraction * 1e9))
+        return data[:size], [(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp)], 0, sender
+
+    def close(self) -> None:
+        """Close the socket; may be called repeatedly."""
+        if self.fileno() != -1:
+            del self._clock.shared[self.address]
+
+    def _receive(self) -> tuple[bytes, float, Address]:
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         if not (
@@ -155,12 +159,78 @@ class SimulatedSocket:
             raise BlockingIOError
         return self._received.popleft()
 
-    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        """Return a datagram and its sender; raises BlockingIOError if none arrives in time."""
-        data, _, sender = self.receive()
-        return data[:size], sender
+
+class SimulatedSerialPort:
+    """A program's end of a serial line; `SimulatedLine` is the device's end.
+
+    Each program has its own buffer: two programs on one line do not take each other's bytes.
+    """
+
+    def __init__(self, clock: SimulatedTime, port: str, timeout_s: float) -> None:
+        self._socket = SimulatedSocket(clock, port)
+        self._socket.connect((port, LINE))
+        self._timeout_s = timeout_s
+        self._arrived = b""
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that have arrived."""
+        self._take(0.0)
+        return len(self._arrived)
+
+    def read(self, size: int) -> bytes:
+        """Return up to `size` bytes, fewer if no more arrive in time."""
+        if len(self._arrived) < size:
+            self._take(self._timeout_s)
+        data = self._arrived[:size]
+        self._arrived = self._arrived[size:]
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send bytes."""
+        return self._socket.send(data)
+
+    def set_low_latency_mode(self, is_low: bool) -> None:
+        """Do nothing: no byte is ever delayed."""
 
     def close(self) -> None:
-        """Close the socket; may be called repeatedly."""
-        if self.fileno() != -1:
-            del self._clock.shared[self.address]
+        """Close; may be called repeatedly."""
+        self._socket.close()
+
+    def _take(self, timeout_s: float) -> None:
+        self._socket.timeout = timeout_s
+        while True:
+            try:
+                self._arrived += self._socket.recvfrom(65_535)[0]
+            except BlockingIOError:
+                return
+            self._socket.timeout = 0.0
+
+
+class SimulatedLine:
+    """A device's end of a serial line. Answers go to the most recent sender."""
+
+    def __init__(self, clock: SimulatedTime, name: str) -> None:
+        self._socket = SimulatedSocket(clock, name, LINE)
+        self._host: Address = (name, LINE)
+        self.name = name
+        self.is_open = True
+
+    def receive(self, wait_s: float) -> bytes:
+        """Wait for bytes for up to `wait_s` [s]."""
+        self._socket.timeout = wait_s
+        try:
+            data, self._host = self._socket.recvfrom(4096)
+        except OSError:
+            return b""
+        return data
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; those that nobody reads are lost."""
+        if self.is_open:
+            self._socket.sendto(data, self._host)
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+        self.is_open = False
+        self._socket.close()

@@ -5,18 +5,15 @@ import uuid
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.emulation.stream import iterate_due, measure
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.machine import Wrench, rotation
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.connection import Publisher
-from softfin.rig.ros2.plant import open_transport
 from softfin.storage.bag.messages import SECOND_NS, WRENCH_STAMPED, cdr
-
-EMULATED_RATE_HZ = 320.0
 
 
 class EmulatedMessage(NamedTuple):
@@ -37,8 +34,8 @@ class EmulatedTopic:
     def __init__(
         self,
         fin: EmulatedFin,
-        rate_hz: float = EMULATED_RATE_HZ,
-        clock: Clock = REAL,
+        rate_hz: float,
+        clock: Computer = COMPUTER,
         frame: str = SENSOR_MOUNTING,
         connection: TransportConfig | None = None,
         topic: str | None = None,
@@ -59,7 +56,7 @@ class EmulatedTopic:
         self._wrench: Wrench = (0.0,) * 6
         self._silent_until = 0.0
         self._closing = clock.event()
-        self._transport = open_transport(self._connection, clock=clock)
+        self._transport = clock.open_topics(self._connection)
         self._publisher: Publisher | None = self._transport.publish(self.topic, WRENCH_STAMPED)
         self._thread = clock.spawn(self._run, "emulated topic")
 

@@ -22,6 +22,7 @@ from softfin.installation import (
 from softfin.rig.check import check_disk, check_rig
 from softfin.rig.config import load_rig
 from softfin.rig.device import CheckResult
+from softfin.rig.rig import Rig
 from softfin.storage.artifact import check_writable
 
 INTERFACES = Path("/sys/class/net")
@@ -227,6 +228,6 @@ def _can() -> CheckResult:
 
 def _rig(path: Path) -> Iterator[CheckResult]:
     try:
-        yield from check_rig(load_rig(path), path.absolute().parent, RIG_SECONDS)
+        yield from check_rig(Rig(load_rig(path)), path.absolute().parent, RIG_SECONDS)
     except SoftfinError as error:
         yield CheckResult("rig file", "wrong", str(error))

@@ -18,8 +18,6 @@ from rosbags.typesys.store import Typestore
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
-from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.ros2 import SimulatedTransport
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
@@ -55,16 +53,9 @@ LOCK_S = 0.02
 hangs."""
 
 
-def open_transport(
-    config: TransportConfig, types: Typestore | None = None, clock: Clock = REAL
-) -> Transport:
+def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
     """Open the configured transport (auto: rclpy if installed, otherwise DDS); raises RigError if
-    it is not installed.
-
-    On a simulated clock, topics are within this process, regardless of the configuration.
-    """
-    if isinstance(clock, SimulatedClock):
-        return SimulatedTransport(clock)
+    it is not installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(

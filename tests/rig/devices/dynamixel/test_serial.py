@@ -9,9 +9,9 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.dynamixel import EmulatedServo
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.dynamixel import drive as driver
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.drive import Dynamixel
@@ -88,7 +88,7 @@ TRIALS = 50 if os.environ.get("SOFTFIN_LONG") == "1" else 2
 @contextmanager
 def real_servo(**changes):
     config = servo_config(**changes)
-    with closing(EmulatedServo(config, BrakingFin(QUICK_STOP_RAD_S2), REAL)) as servo:
+    with closing(EmulatedServo(config, BrakingFin(QUICK_STOP_RAD_S2), COMPUTER)) as servo:
         yield servo
 
 

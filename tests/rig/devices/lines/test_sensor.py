@@ -10,7 +10,7 @@ import pytest
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.lines import UDP_PORT, EmulatedLines
+from softfin.emulation.lines import EmulatedLines
 from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.parser import LagWatch
@@ -267,8 +267,9 @@ def test_records_that_come_only_from_another_address_are_refused_with_it():
 
 
 @contextmanager
-def second_sender(clock, host, rate_hz=320.0):
+def second_sender(sensor, host, rate_hz=320.0):
     """Another sensor that sends to the same port."""
+    clock = sensor.clock
     second = SimulatedSocket(clock, host)
     ending = clock.event()
 
@@ -276,7 +277,7 @@ def second_sender(clock, host, rate_hz=320.0):
         count = 0
         while not ending.wait(1 / rate_hz):
             count += 1
-            second.sendto(f"{count},9.0,9.0\n".encode(), (LOOPBACK, UDP_PORT))
+            second.sendto(f"{count},9.0,9.0\n".encode(), (LOOPBACK, sensor.config.udp_port))
 
     thread = clock.spawn(send, "second sensor")
     try:
@@ -295,7 +296,7 @@ def test_two_senders_are_a_fault_that_names_both(host, columns):
     with bench(columns=columns) as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.2)
-        with second_sender(clock, host) as second:
+        with second_sender(sensor, host) as second:
             reading = run(sensor, clock, 0.1)
         (complaint,) = sensor.complaints()
         first = f"{LOOPBACK}:{emulated._link._socket.address[1]}"
@@ -309,8 +310,8 @@ def test_two_senders_are_a_fault_that_names_both(host, columns):
 
 def test_two_senders_that_double_the_rate_are_refused_with_both_names():
     with (
-        bench(columns=("skip", "force_x", "force_y")) as (_, sensor, clock),
-        second_sender(clock, LOOPBACK),
+        bench(columns=("skip", "force_x", "force_y")) as (_, sensor, _),
+        second_sender(sensor, LOOPBACK),
         pytest.raises(
             DeviceError, match=r"records come from 127.0.0.1:\d+ and 127.0.0.1:\d+, so two"
         ),

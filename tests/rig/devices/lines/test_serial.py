@@ -22,7 +22,9 @@ def _patient(monkeypatch):
 def made(over, **changes):
     if over == "serial":
         needs.module("serial", "pyserial is not installed")
-    emulated = EmulatedLines(StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, over=over)
+    emulated = EmulatedLines(
+        StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, udp_port=None if over == "serial" else 0
+    )
     values = {
         "columns": ("count", "force_x", "force_y"),
         "rate_hz": 80.0,

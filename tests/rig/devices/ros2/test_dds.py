@@ -5,9 +5,9 @@ import time
 
 import pytest
 
-from softfin.core.clock import REAL
 from softfin.core.errors import RigError
 from softfin.emulation.topic import EmulatedTopic
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.rig.devices.ros2.sensor import TopicSource, topic_sensor
 from softfin.rig.ros2.config import TransportConfig
@@ -81,7 +81,7 @@ def test_a_topic_of_another_type_is_named_with_its_type(emulated, sensor):
     emulated.unplug()
     other = open_transport(CONNECTION)
     publisher = other.publish(emulated.topic, BOOL)
-    source = TopicSource(sensor.config, REAL)
+    source = TopicSource(sensor.config, COMPUTER)
     source.open()
     wait_until(lambda: f"found {emulated.topic} (std_msgs/msg/Bool)" in source.explain_silence())
     publisher.send(serialized(BOOL, {"data": True}))
