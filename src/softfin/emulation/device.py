@@ -7,7 +7,12 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import Limits
+from softfin.emulation.axia80 import EmulatedAxia80
+from softfin.emulation.dynamixel import EmulatedServo
+from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.emulation.lines import EmulatedLines
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
 from softfin.rig.device import DriveConfig, ForceSensorConfig
@@ -54,26 +59,7 @@ class SensorEmulator(NamedTuple):
     """Starts an emulator with a configuration, which measures a fin's force."""
 
 
-# Each emulator is imported when it is used, because it may need libraries of its own.
-
-
-def _start_epos2(config: Any, bus: BusConfig, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
-    from softfin.emulation.epos2.drive import EmulatedDrive
-
-    return EmulatedDrive(bus, config, fin, clock)
-
-
-def _start_dynamixel(
-    config: Any, bus: BusConfig, fin: EmulatedFin, clock: Computer
-) -> EmulatedDevice:
-    from softfin.emulation.dynamixel import EmulatedServo
-
-    return EmulatedServo(config, fin, clock)
-
-
 def _start_axia80(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
-    from softfin.emulation.axia80 import EmulatedAxia80
-
     # In simulated time, the sensor can use its factory ports, because they exist only within this
     # process.
     rdt_port, http_port = (config.rdt_port, config.http_port) if clock.is_simulated else (0, 0)
@@ -81,15 +67,11 @@ def _start_axia80(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDev
 
 
 def _start_lines(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
-    from softfin.emulation.lines import EmulatedLines
-
     udp_port = config.udp_port if clock.is_simulated else None
     return EmulatedLines(fin, config.rate_hz, clock, udp_port=udp_port)
 
 
 def _start_topic(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
-    from softfin.emulation.topic import EmulatedTopic
-
     # In real time, several emulated rigs may share this computer.
     topic = config.topic if clock.is_simulated else None
     return EmulatedTopic(fin, config.rate_hz, clock, topic=topic)
@@ -104,10 +86,11 @@ DRIVES = {
             "gear_ratio": 111.0,
             "following_error_rad": 0.5,
         },
-        _start_epos2,
+        lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
     ),
     "dynamixel": DriveEmulator(
-        {"port": "simulated", "model": "XM430-W350", "id": 1}, _start_dynamixel
+        {"port": "simulated", "model": "XM430-W350", "id": 1},
+        lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
     ),
 }
 """Emulated drives, by type."""
