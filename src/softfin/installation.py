@@ -1,4 +1,4 @@
-"""Which parts of softfin are installed, and the command that adds an extra. Standard library
+"""Parts of softfin that are installed, and the command that adds an extra. Standard library
 only."""
 
 import importlib.metadata

@@ -1,16 +1,13 @@
-"""An emulated driver that publishes the force of an emulated fin, with noise, as WrenchStamped."""
+"""An emulated driver that publishes the force of an emulated fin as WrenchStamped."""
 
-import contextlib
 import uuid
-from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from softfin.core.errors import DeviceError
 from softfin.core.json_object import JsonObject
-from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.emulation.stream import iterate_due, measure
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.stream import EmulatedStream
 from softfin.rig.computer import COMPUTER, Computer
-from softfin.rig.machine import Wrench, rotation
+from softfin.rig.machine import Wrench
 from softfin.rig.ros2.config import TransportConfig
 from softfin.rig.ros2.connection import Publisher
 from softfin.storage.bag.messages import SECOND_NS, WRENCH_STAMPED, cdr
@@ -27,38 +24,29 @@ class EmulatedMessage(NamedTuple):
     """Frame in the header."""
 
 
-class EmulatedTopic:
-    """Emulated driver, running from construction until `close`; faults may be set from any
-    thread."""
+def emulated_topic(
+    fin: EmulatedFin,
+    rate_hz: float,
+    clock: Computer = COMPUTER,
+    connection: TransportConfig | None = None,
+    topic: str | None = None,
+) -> EmulatedStream:
+    """Return a driver on a topic, by default a new one, so that several emulators do not meet;
+    `connection` is by DDS on this computer by default."""
+    topic = topic or f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
+    link = TopicLink(topic, connection or TransportConfig(transport="dds"), clock)
+    return EmulatedStream(link, fin, rate_hz, clock)
 
-    def __init__(
-        self,
-        fin: EmulatedFin,
-        rate_hz: float,
-        clock: Computer = COMPUTER,
-        frame: str = SENSOR_MOUNTING,
-        connection: TransportConfig | None = None,
-        topic: str | None = None,
-    ) -> None:
-        """`topic` is a new one by default, so that several emulators do not meet; `connection` is
-        by DDS on this computer by default."""
-        self.transmit: Callable[[EmulatedMessage], Iterable[EmulatedMessage]]
-        self.transmit = lambda message: (message,)
-        """Function that maps a message to those that are published; tests may double, lose, delay
-        or change messages."""
-        self.rate_hz = rate_hz
-        self.are_values_frozen = False
-        self.topic = topic or f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
-        self._connection = connection or TransportConfig(transport="dds")
-        self._fin = fin
-        self._clock = clock
-        self._rotation = rotation(frame).T
-        self._wrench: Wrench = (0.0,) * 6
-        self._silent_until = 0.0
-        self._closing = clock.event()
-        self._transport = clock.open_topics(self._connection)
-        self._publisher: Publisher | None = self._transport.publish(self.topic, WRENCH_STAMPED)
-        self._thread = clock.spawn(self._run, "emulated topic")
+
+class TopicLink:
+    """Messages on a topic."""
+
+    def __init__(self, topic: str, connection: TransportConfig, clock: Computer) -> None:
+        self.topic = topic
+        self._connection = connection
+        self._started_s = clock.wall()
+        self._transport = clock.open_topics(connection)
+        self._publisher: Publisher | None = self._transport.publish(topic, WRENCH_STAMPED)
 
     def address(self) -> JsonObject:
         """Return the topic and how to reach it, as in a rig's file."""
@@ -72,49 +60,18 @@ class EmulatedTopic:
         """Return the topic and its domain."""
         return f"{self.topic} in ROS domain {self._connection.domain_id()}"
 
-    def remembered(self) -> JsonObject:
-        """Return nothing: softfin keeps the zero."""
-        return {}
+    def encode(self, age_s: float, wrench: Wrench) -> EmulatedMessage:
+        """Return a message."""
+        return EmulatedMessage(round((self._started_s + age_s) * SECOND_NS), wrench)
 
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue; there is nothing to recall."""
+    def send(self, record: EmulatedMessage) -> None:
+        """Publish a message."""
+        publisher = self._publisher
+        if publisher is not None:
+            publisher.send(cdr(WRENCH_STAMPED, record.stamp_ns, record.wrench, record.frame_id))
 
-    def silence(self, seconds: float = float("inf")) -> None:
-        """Publish nothing for a time [s]; 0 ends the silence."""
-        self._silent_until = self._clock() + seconds
-
-    def unplug(self) -> None:
-        """Remove the publisher, as when the driver ends."""
+    def close(self) -> None:
+        """Remove the publisher, as when the driver ends; may be called repeatedly."""
         # A writer is closed with its last reference.
         self._publisher = None
         self._transport.close()
-
-    def close(self) -> None:
-        """Stop the driver; may be called repeatedly."""
-        self._closing.set()
-        self._thread.join()
-        self.unplug()
-
-    def _run(self) -> None:
-        started = self._clock.wall()
-        for numbers in iterate_due(self._clock, self._closing, lambda: self.rate_hz):
-            is_silent = self._clock() < self._silent_until
-            for number in numbers:
-                message = self._measure(number, started)
-                for sent in () if is_silent else self.transmit(message):
-                    self._publish(sent)
-
-    def _measure(self, number: int, started: float) -> EmulatedMessage:
-        if not self.are_values_frozen:
-            self._wrench = measure(self._fin, self._rotation, number)
-        stamp_s = started + (number + 1) / self.rate_hz
-        return EmulatedMessage(round(stamp_s * SECOND_NS), self._wrench)
-
-    def _publish(self, message: EmulatedMessage) -> None:
-        publisher = self._publisher
-        if publisher is None:
-            return
-        data = cdr(WRENCH_STAMPED, message.stamp_ns, message.wrench, message.frame_id)
-        # A slow reader must not end the driver.
-        with contextlib.suppress(DeviceError):
-            publisher.send(data)
