@@ -30,10 +30,7 @@ def find_robot(name: str) -> RobotSetup:
         from softfin.rig.commissioning.form import load_form
 
         rig = load_rig(path)
-        # The configuration of a real rig must stay the same as before emulated rigs were added.
-        values = rig.model_dump(
-            mode="json", exclude={"emulation"} if rig.emulation is None else None
-        )
+        values = rig.model_dump(mode="json")
         # Emulated rigs do not need commissioning.
         warning = (
             None
