@@ -18,9 +18,9 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ, TICK_S
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.machine import Target
 from softfin.rig.prove import removed_on_failure
@@ -28,7 +28,6 @@ from softfin.rig.record import MovingProof, StopProof, load_record, save_record
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard, Trip
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
 DEATHS = 5
@@ -141,17 +140,18 @@ class Death(NamedTuple):
 
 
 def prove_moving(
-    config: RigConfig,
-    clock: Clock | None = None,
+    rig: Rig,
     deaths: int = DEATHS,
     tell: Callable[[str], object] = lambda line: None,
 ) -> StopProof:
     """Kill and suspend a program that swings the fin `deaths` times each, and add what was measured
     to the proof of the drive's own stop, which must exist.
 
-    `tell` is called with a line about each death. Raises DeviceError if the drive does not stop in
-    time; the proof is then removed. Raises SafetyStop if it was interrupted.
+    `rig` must be closed; `tell` is called with a line about each death. Raises DeviceError if the
+    drive does not stop in time; the proof is then removed. Raises SafetyStop if it was interrupted.
     """
+    config = rig.config
+    clock = rig.clock
     swing = Swing.of(config)
     seen = []
     with _switched_off_after_error(config, clock):
@@ -177,7 +177,7 @@ def prove_moving(
 
 
 @contextmanager
-def _switched_off_after_error(config: RigConfig, clock: Clock | None) -> Iterator[None]:
+def _switched_off_after_error(config: RigConfig, clock: Computer) -> Iterator[None]:
     """Switch the motor off after any error; raises SafetyStop if it may still be on, or after an
     interruption."""
     try:
@@ -206,13 +206,11 @@ class _MortalRig(Rig):
             super().stop()
 
 
-def _try_death(
-    config: RigConfig, clock: Clock | None, swing: Swing, number: signal.Signals
-) -> Death:
+def _try_death(config: RigConfig, clock: Computer, swing: Swing, number: signal.Signals) -> Death:
     # At a random time in the drive's own cycles, from the first or a later stroke.
     ticks = random.randrange(2 * RATE_HZ)
     rig = _MortalRig(config, clock)
-    if not isinstance(rig.clock, SimulatedClock):
+    if not clock.is_simulated:
         died_angle, silent_s = _kill_program(config, swing, number, ticks)
         with removed_on_failure(config):
             return _look(config, clock, swing, died_angle, silent_s)
@@ -252,14 +250,14 @@ def _kill_program(
                 process.wait(STOP_S)
             raise
         process.send_signal(number)
-        died = REAL()
-        REAL.sleep(swing.silence_s)
+        died = COMPUTER()
+        COMPUTER.sleep(swing.silence_s)
         # Only the end of a suspended program releases its devices.
         process.kill()
         lines = process.stdout.read().splitlines()
         for line in lines:
             last_angle = _read_angle(line)
-        return last_angle, REAL() - died
+        return last_angle, COMPUTER() - died
     finally:
         process.kill()
         process.wait()
@@ -275,7 +273,7 @@ def _read_angle(line: str) -> float:
 
 
 def _look(
-    config: RigConfig, clock: Clock | None, swing: Swing, died_angle: float, silent_s: float
+    config: RigConfig, clock: Computer, swing: Swing, died_angle: float, silent_s: float
 ) -> Death:
     """Look at the drive after its program has died; raises DeviceError if it has not stopped the
     fin by itself."""
@@ -319,7 +317,7 @@ def main() -> None:
         sys.stdin.read()
         request.ask("emergency_stop", "the test was interrupted")
 
-    REAL.spawn(await_end, "end of input")
+    COMPUTER.spawn(await_end, "end of input")
     try:
         rig = Rig(config)
         with Session(rig, Guard(config.safety, rig.limits), stop=request) as session:

@@ -5,17 +5,22 @@ The only two addresses, `/` and `/data?since=N`, are generated in memory. Reques
 looked up on disk.
 """
 
+import contextlib
 import importlib.resources
 import json
 import re
 import socketserver
+import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from typing import Annotated
 
 from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
+from softfin.core.option_types import RECORDING, PathLike
 from softfin.rig.monitor.follow import Follower
 
 HEADERS = {
@@ -28,6 +33,22 @@ HEADERS = {
 }
 """Security headers: the page must not load anything from elsewhere or be embedded in another
 page."""
+
+
+def monitor(recording: Annotated[PathLike, RECORDING], *, port: int = 8080) -> None:
+    """Watch a recording in progress on a web page. Ctrl-C ends the page, not the recording.
+
+    Args:
+        recording: Bag (.mcap) to watch, or a folder of bags (the newest is watched).
+        port: Port of the page on this computer; 0 for any free port.
+    """
+    # Ending a page is not a failure: exit code 0.
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        Server(Follower(Path(recording)), port) as server,
+    ):
+        sys.stderr.write(f"{server.address} shows the recording; press Ctrl-C to end\n")
+        server.serve_forever()
 
 
 class Server(socketserver.ThreadingTCPServer):
