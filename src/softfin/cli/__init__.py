@@ -38,7 +38,7 @@ GROUPS = {
             "softfin.stages.example:write_example",
             "write a trained surrogate, controllers and a recording",
         ),
-        "doctor": Command("softfin.rig.doctor:doctor", "check this computer and the installation"),
+        "doctor": Command("softfin.doctor:doctor", "check this computer and the installation"),
     },
     "Data": {
         "collect": Command(
@@ -84,19 +84,31 @@ GROUPS = {
         ),
     },
     "Rig": {
-        "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
-        "rig zero": Command("rig", "zero the angle and the force"),
-        "rig commission": Command("rig", "run the acceptance steps for a new rig"),
-        "rig stop": Command("rig", "stop the motor and switch it off"),
-        "rig emulate": Command("rig", "emulate a rig without hardware"),
-        "run": Command("driving", "hold reference forces on the real fin"),
-        "monitor": Command("rig", "watch a recording in progress"),
-        "ros2": Command("driving", "hold reference forces from a ROS 2 topic on the real fin"),
+        "rig check": Command(
+            "softfin.stages.rig:check", "check drive, sensor and settings; nothing moves"
+        ),
+        "rig zero": Command("softfin.stages.rig:zero", "zero the angle and the force"),
+        "rig stop": Command("softfin.stages.rig:stop", "stop the motor and switch it off"),
+        "rig emulate": Command("softfin.stages.rig:emulate", "emulate a rig without hardware"),
+        "run": Command("softfin.stages.driving:run", "hold reference forces on the real fin"),
+        "monitor": Command(
+            "softfin.rig.monitor.web:monitor", "watch a recording in progress on a web page"
+        ),
+        "ros2": Command(
+            "softfin.stages.driving:ros2",
+            "hold reference forces from a ROS 2 topic on the real fin",
+        ),
     },
     "Robots": {
-        "robot check": Command("robot", "check rank, reach and stability of a multi-fin robot"),
-        "robot evaluate": Command("robot", "evaluate the wrench errors of a robot's node"),
-        "robot ros2": Command("robot", "run a ROS 2 node that distributes wrenches among fins"),
+        "robot check": Command(
+            "softfin.stages.robot:check", "check rank, reach and stability of a multi-fin robot"
+        ),
+        "robot evaluate": Command(
+            "softfin.stages.robot:evaluate", "evaluate the wrench errors of a robot's node"
+        ),
+        "robot ros2": Command(
+            "softfin.stages.robot:ros2", "run a ROS 2 node that distributes wrenches among fins"
+        ),
     },
     "Paper": {
         "reproduce": Command(

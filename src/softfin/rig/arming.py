@@ -35,8 +35,6 @@ class Arming(NamedTuple):
         name = robot.machine.name
         for note in robot.machine.notes:
             sys.stderr.write(f"note: {printable(note)}\n")
-        if robot.warning is not None:
-            sys.stderr.write(f"warning: {printable(robot.warning)}\n")
         if not self.arm:
             state = "connected, but not armed" if motion is None else "not armed"
             raise ConfigurationError(f"{name}: {state}; nothing moves without --arm")

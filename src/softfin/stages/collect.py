@@ -77,8 +77,8 @@ def collect(
     )
     if isinstance(plant, str) and is_real:
         from softfin.rig.arming import Arming, KeyboardStop, say
-        from softfin.rig.robot_setup import find_robot
         from softfin.stages.live import collect_live
+        from softfin.stages.machines import find_robot
 
         keys = KeyboardStop(Arming(arm, yes))
         data = collect_live(

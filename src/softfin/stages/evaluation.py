@@ -115,8 +115,8 @@ def evaluate(
         settings = settings.merged({"trim": {}}, "--trim")
     if is_real:
         from softfin.rig.arming import Arming, KeyboardStop, say
-        from softfin.rig.robot_setup import find_robot
         from softfin.stages.live import evaluate_live
+        from softfin.stages.machines import find_robot
 
         keys = KeyboardStop(Arming(arm, yes))
         summary = evaluate_live(
