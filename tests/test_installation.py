@@ -61,7 +61,7 @@ def test_an_extra_is_added_from_where_softfin_came(source, command, monkeypatch)
 
 
 def test_an_extra_that_brings_another_needs_what_that_needs():
-    assert set(extra_requirements("learn")) < set(extra_requirements("onnx"))
+    assert set(extra_requirements("learn")) < set(extra_requirements("sb3"))
 
 
 @pytest.mark.parametrize(
