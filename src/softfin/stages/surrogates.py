@@ -23,7 +23,6 @@ from softfin.surrogate.channels import SKIPPED, ranges
 from softfin.surrogate.registry import DEFAULT, find_architecture
 from softfin.surrogate.table_one import measured_ranges, table_one
 from softfin.surrogate.training import check_lengths
-from softfin.tank.calibration.calibrate import calibrate_tank
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.model import material
 
@@ -164,6 +163,9 @@ def calibrate(
     if run_directory.complete:
         run_directory.finish()
         return artifacts.load_description(out, "calibration")
+    # Matplotlib, which takes a second, is only imported to draw.
+    from softfin.tank.calibration.calibrate import calibrate_tank
+
     calibration = calibrate_tank(config, train, test, seed, run_directory, progress)
     origin = artifacts.provenance(seed=seed, data=plant_name(data), **source)
     written = {"configuration": metadata["configuration"], "provenance": origin}
