@@ -19,7 +19,6 @@ from .stages.controllers import train as train
 from .stages.evaluation import evaluate as evaluate
 from .stages.example import write_example as write_example
 from .stages.explore import explore as explore
-from .stages.logs import convert_recordings as convert_recordings
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
 from .stages.logs import recover_recording as recover_recording

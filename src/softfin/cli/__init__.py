@@ -50,9 +50,6 @@ GROUPS = {
         "bag recover": Command(
             "softfin.stages.logs:recover_recording", "recover the readings of a damaged recording"
         ),
-        "bag convert": Command(
-            "softfin.stages.logs:convert_recordings", "convert recordings to Parquet or ROS 2 bags"
-        ),
     },
     "Model": {
         "fit": Command("softfin.stages.surrogates:fit", "fit a surrogate model of the fin to logs"),
@@ -75,9 +72,7 @@ GROUPS = {
             "softfin.stages.explore:explore",
             "write an HTML page to try controllers or to move the fin by hand",
         ),
-        "export": Command(
-            "softfin.stages.controllers:export", "export a controller or a surrogate to ONNX"
-        ),
+        "export": Command("softfin.stages.controllers:export", "export a controller to ONNX"),
     },
     "Rig": {
         "rig check": Command(

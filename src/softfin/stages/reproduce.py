@@ -407,19 +407,19 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
 
     shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
     sections: dict[str, dict[str, Path]] = {
-        "surrogate": {"Force in a test log and in the surrogate": out / "surrogate/prediction.svg"}
+        "surrogate": {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
     }
     best = headline(results)
     if best is not None:
-        sections["headline"] = {best.caption: shown / best.controller / "held.svg"}
+        sections["headline"] = {best.caption: shown / best.controller / "held.png"}
     for kind in results["controllers"]:
         folder = _folders(out, kind, range(results["seed"], results["seed"] + results["seeds"]))[0]
         caption = f"{kind} controller, seed {results['seed']}"
-        sections.setdefault("learning", {})[caption] = folder / "training/learning.svg"
+        sections.setdefault("learning", {})[caption] = folder / "training/learning.png"
         sections.setdefault("experiment", {})[caption] = (
-            out / "evaluation" / kind / "experiments.svg"
+            out / "evaluation" / kind / "experiments.png"
         )
-        sections.setdefault("moving", {})[caption] = shown / kind / "moving.svg"
+        sections.setdefault("moving", {})[caption] = shown / kind / "moving.png"
     return {
         section: {caption: file for caption, file in figures.items() if file.exists()}
         for section, figures in sections.items()

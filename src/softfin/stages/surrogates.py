@@ -122,7 +122,7 @@ def fit(
         def keep(folder: Path) -> None:
             run_directory.keep_log(folder)
             if test:
-                save_figure(_predict_test(fitted, test[0]), folder, "prediction")
+                save_figure(_predict_test(fitted, test[0]), folder / "prediction.png")
 
         # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
