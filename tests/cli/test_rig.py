@@ -8,9 +8,9 @@ import pytest
 import softfin
 from softfin.cli import main
 from softfin.core.errors import RunError
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.config import load_rig
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import SafetyConfig

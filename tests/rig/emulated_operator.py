@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from softfin.rig.emulation.rig import EmulatedRig
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.stop import StopRequest
 
 

@@ -14,6 +14,7 @@ import yaml
 
 from softfin.cli import main
 from softfin.core.errors import ConfigurationError, RigError, RunError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.commissioning import steps
 from softfin.rig.commissioning.commission import commission_step
 from softfin.rig.commissioning.form import (
@@ -31,7 +32,6 @@ from softfin.rig.commissioning.operator import TerminalOperator
 from softfin.rig.commissioning.steps import STEP_FUNCTIONS
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.devices.epos2.protocol import State
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.cli.test_cli import fails
 from tests.patience import wait_until
@@ -374,7 +374,7 @@ class TestCommand:
     @pytest.fixture
     def command(self, site, monkeypatch):
         site.file.write_text(yaml.safe_dump(site.values))
-        monkeypatch.setattr("softfin.cli.rig.REAL", site.behind.clock)
+        monkeypatch.setattr("softfin.cli.rig.COMPUTER", site.behind.clock)
         monkeypatch.setattr(
             "softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator
         )

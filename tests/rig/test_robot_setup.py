@@ -4,8 +4,9 @@ import yaml
 from softfin.core.errors import RigError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.rig import Rig
-from softfin.rig.robot_setup import RobotSetup, find_robot
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
+from softfin.stages.machines import find_robot
 from tests.rig.machines import FreeFin
 from tests.rig.test_config import VALUES, written
 

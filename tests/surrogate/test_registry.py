@@ -237,10 +237,10 @@ def half(self, state, command, ticks):
     ],
 )
 def test_the_conformance_kit_names_the_fault(changes, words, monkeypatch):
-    monkeypatch.setattr("softfin.testing.check_plant", lambda plant: None)
+    monkeypatch.setattr("softfin.testing.plants.check_plant", lambda plant: None)
     # A Faulty is no pytree, and to trace it takes long.
     monkeypatch.setattr(
-        "softfin.testing.identity", lambda plant: identity(getattr(plant, "_good", plant))
+        "softfin.testing.plants.identity", lambda plant: identity(getattr(plant, "_good", plant))
     )
     with pytest.raises(PlantError, match=words):
         check_surrogate(Faulty(GOOD, **changes))

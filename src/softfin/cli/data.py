@@ -56,9 +56,9 @@ class CollectArguments(Armed, Configured):
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop, say
         from softfin.data.collect import CollectConfig
-        from softfin.rig.robot_setup import find_robot
         from softfin.stages.collect import collect
         from softfin.stages.live import collect_live
+        from softfin.stages.machines import find_robot
 
         config = self.configured(CollectConfig())
         if is_live(self.plant):

@@ -1,17 +1,14 @@
 """``doctor`` checks the computer and the installation, and suggests fixes."""
 
-from softfin.cli.common import CommandOptions, YamlFile
+from softfin.cli.common import CommandOptions
 from softfin.core.errors import RunError
-from softfin.rig.doctor import examine
+from softfin.doctor import examine
 
 
 class DoctorArguments(CommandOptions):
-    """Check the installation, devices, disk and bus of this computer; nothing moves. Paste the
-    output into bug reports."""
-
-    rig: YamlFile | None = None
-    """Also check the drive and the sensor of this rig, as softfin rig check does."""
+    """Check the installation, JAX, the disk and the ports of this computer; nothing moves. Paste
+    the output into bug reports. For a rig, use softfin rig check."""
 
     def __call__(self) -> None:
-        if wrong := self.tell_findings(examine(self.rig)):
+        if wrong := self.tell_findings(examine()):
             raise RunError(f"failed: {wrong}")

@@ -36,10 +36,11 @@ from softfin.rig.loop import (
     recorded_reference,
     run_controller,
 )
-from softfin.rig.robot_setup import RobotSetup, find_robot
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session, mean_force
 from softfin.rig.stop import StopRequest, listen_to_keyboard
+from softfin.stages.machines import find_robot
 from softfin.storage import artifact as artifacts
 
 
@@ -284,12 +285,11 @@ class Ros2Arguments(NodeOptions, Driving):
         from softfin.rig.ros2.config import NodeConfig
         from softfin.rig.ros2.node import RosNode, default_reference_limit
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
-        from softfin.rig.simulated_clock import SimulatedClock
 
         defaults = NodeConfig() if self.fin is None else NodeConfig.of_fin(self.fin)
         topics = self.configured(defaults, connection=self.connection)
         controller, robot = self.parties()
-        if isinstance(machine_clock(robot.machine), SimulatedClock):
+        if machine_clock(robot.machine).is_simulated:
             raise RigError(
                 f"{robot.machine.name}: emulated in simulated time, which does not work with "
                 "topics; start softfin rig emulate --real-time"

@@ -78,9 +78,9 @@ class EvaluateArguments(Armed, Configured):
         from softfin.cli.driving import KeyboardStop, say
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
-        from softfin.rig.robot_setup import find_robot
         from softfin.stages.evaluation import evaluate
         from softfin.stages.live import evaluate_live
+        from softfin.stages.machines import find_robot
         from softfin.task.signals import read_reference_file
 
         recorded = (

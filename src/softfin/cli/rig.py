@@ -11,18 +11,19 @@ from typing import Annotated
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
-from softfin.core.clock import REAL
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.drive_safety import UNCONFIRMED
 from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.stop import SIGNAL_CHECK_S, ignored_termination, interrupted_by_signals
+from softfin.stages.machines import find_rig
 from softfin.storage.paths import RIG_FILE
 
 PROVING = (
@@ -50,7 +51,7 @@ class RigCheckArguments(Armed, CommandOptions):
     def __call__(self) -> None:
         config = load_rig(self.rig)
         if self.reset_fault:
-            with contextlib.closing(Rig(config)) as rig:
+            with contextlib.closing(find_rig(config)) as rig:
                 rig.drive.connect()
                 fault = rig.drive.reset_fault()
             sys.stderr.write(
@@ -59,12 +60,12 @@ class RigCheckArguments(Armed, CommandOptions):
         if self.prove:
             self._prove(config)
             return
-        if wrong := self.tell_findings(check_rig(config, self.rig.absolute().parent)):
+        if wrong := self.tell_findings(check_rig(find_rig(config), self.rig.absolute().parent)):
             raise DeviceError(f"{self.rig}: failed: {wrong}")
 
     def _prove(self, config: RigConfig) -> None:
         # If the terminal closes, the motor must not stay powered: the drive's own stop is unproven.
-        with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
+        with interrupted_by_signals(), contextlib.closing(find_rig(config)) as rig:
             rig.drive.open()
             self.confirm(RobotSetup(rig, config.safety), PROVING, needs_proof=False)
             proof = prove_stop(config, rig.drive)
@@ -83,7 +84,7 @@ class RigStopArguments(CommandOptions):
     """Rig configuration file."""
 
     def __call__(self) -> None:
-        with ignored_termination(), contextlib.closing(Rig(load_rig(self.rig))) as rig:
+        with ignored_termination(), contextlib.closing(find_rig(load_rig(self.rig))) as rig:
             try:
                 rig.drive.switch_off()
             except KeyboardInterrupt:
@@ -107,9 +108,9 @@ class RigZeroArguments(Armed, CommandOptions):
         result: JsonObject = {}
         if both or self.angle:
             with interrupted_by_signals():
-                result |= zero_angle(config, confirm=self._confirm_zeroing)
+                result |= zero_angle(find_rig(config), self._confirm_zeroing)
         if both or self.force:
-            result |= zero_force(config)
+            result |= zero_force(find_rig(config))
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
     def _confirm_zeroing(self, rig: Rig) -> None:
@@ -148,14 +149,14 @@ class RigCommissionArguments(Armed, CommandOptions):
         if self.yes:
             raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
         weight_kg = choose_weight(config, self.weight)
-        self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, needs_proof=False)
+        self.confirm(RobotSetup(find_rig(config), config.safety), COMMISSIONING, needs_proof=False)
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
             # Some steps power the motor here, others move it from a child process.
             with interrupted_by_signals():
                 step = commission_step(
-                    self.rig, config, number, operator, REAL, weight_kg=weight_kg
+                    self.rig, config, number, operator, COMPUTER, weight_kg=weight_kg
                 )
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)
@@ -192,7 +193,7 @@ class RigEmulateArguments(Common):
             raise ConfigurationError(
                 f"{self.rig}: already exists; set another --rig, or use --overwrite to replace it"
             )
-        from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
+        from softfin.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
 
         values = {} if self.tank is None else read_yaml(self.tank)
@@ -202,7 +203,7 @@ class RigEmulateArguments(Common):
             with (
                 contextlib.suppress(KeyboardInterrupt),
                 EmulatedRig(
-                    tank, self.seed, clock=REAL, drive=self.drive, sensor=self.sensor
+                    tank, self.seed, clock=COMPUTER, drive=self.drive, sensor=self.sensor
                 ) as emulated,
             ):
                 write_rig(
@@ -217,7 +218,7 @@ class RigEmulateArguments(Common):
                 sys.stdout.write(told)
                 sys.stdout.flush()
                 while True:
-                    REAL.sleep(SIGNAL_CHECK_S)
+                    COMPUTER.sleep(SIGNAL_CHECK_S)
             return
         # A new rig must not inherit the state of the rig that it replaces.
         state_file(self.rig).unlink(missing_ok=True)

@@ -77,7 +77,7 @@ class OtherConfig(Axia80Config):
     type: str = "other"
 
 
-OTHER = ForceSensorType(OtherConfig, AXIA80.make, AXIA80.emulated_config, AXIA80.emulate)
+OTHER = ForceSensorType(OtherConfig, AXIA80.make)
 
 
 def offer(monkeypatch, value):

@@ -16,7 +16,7 @@ from softfin.core.errors import ArtifactError, LogError, SoftfinError
 from softfin.data.importing.clocks import build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
 from softfin.storage.bag.recovery import check_bag, recover, recovered_path
 from softfin.storage.bag.writer import BagRecorder

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError
 from softfin.rig.commissioning.form import (
     STEP_TITLES,
@@ -18,6 +17,7 @@ from softfin.rig.commissioning.form import (
 )
 from softfin.rig.commissioning.operator import Operator
 from softfin.rig.commissioning.steps import StepContext, check_range, choose_weight, run_step
+from softfin.rig.computer import Computer
 from softfin.rig.config import RigConfig
 from softfin.rig.record import date_and_time
 
@@ -27,7 +27,7 @@ def commission_step(
     config: RigConfig,
     number: int,
     operator: Operator,
-    clock: Clock,
+    clock: Computer,
     hour_s: float = 3600.0,
     weight_kg: float | None = None,
 ) -> SignedStep:

@@ -11,10 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Epos2Config, Units
@@ -178,7 +178,7 @@ class DriveWatch:
     """Monitor that reads a drive only over SDO, while or after another program drives it; sends no
     heartbeat and no SYNC."""
 
-    def __init__(self, config: RigConfig, clock: Clock) -> None:
+    def __init__(self, config: RigConfig, clock: Computer) -> None:
         drive = epos2_config(config)
         assert config.bus is not None, "RigConfig requires a bus for this drive"
         self._units = Units.of(drive)
@@ -238,7 +238,7 @@ class DriveWatch:
         return Death(math.inf, abs(before - angle), self.fault())
 
 
-def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> Death:
+def die_in_process(config: RigConfig, clock: Computer, moment: int, bag: Path) -> Death:
     """Emulate a dead host in simulated time: swing through the rig's range and stop sending at tick
     `moment`."""
     drive = config.drive
@@ -277,11 +277,11 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
         if first_line != "moves":
             reason = first_line or "see the lines above"
             raise DeviceError(f"rig of {config.fin}: the fin did not start to move ({reason})")
-        REAL.sleep(wait_s)
-        with DriveWatch(config, REAL) as watch:
+        COMPUTER.sleep(wait_s)
+        with DriveWatch(config, COMPUTER) as watch:
             angle = watch.angle()
             process.send_signal(number)
-            return watch.watch(REAL(), angle)
+            return watch.watch(COMPUTER(), angle)
     except BaseException:
         # The host stops its fin at the end of its input; if killed first, it would leave that to
         # the drive.

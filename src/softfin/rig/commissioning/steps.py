@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError, RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
@@ -30,6 +29,7 @@ from softfin.rig.commissioning.motion import (
     swings,
 )
 from softfin.rig.commissioning.operator import Operator
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.axia80.stream import BUFFER_BYTES
 from softfin.rig.devices.epos2 import procedures, protocol
@@ -38,7 +38,6 @@ from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.safety import FORCE_PEAK_N
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
 CHECKS = 10
@@ -124,7 +123,7 @@ class StepContext:
     operator: Operator
     folder: Path
     """Folder for the step's recordings."""
-    clock: Clock
+    clock: Computer
     random: np.random.Generator
     hour_s: float
     """Duration of the long motion [s]; shorter only in tests."""
@@ -134,11 +133,11 @@ class StepContext:
     @property
     def is_simulated(self) -> bool:
         """Whether the rig is emulated in simulated time, where no process can be killed."""
-        return isinstance(self.clock, SimulatedClock)
+        return self.clock.is_simulated
 
     def rig(self, config: RigConfig | None = None) -> Rig:
         """Return the rig with its own or another configuration."""
-        return Rig(config or self.config, self.clock if self.is_simulated else None)
+        return Rig(config or self.config, self.clock if self.is_simulated else COMPUTER)
 
     def bag(self, name: str) -> Path:
         """Return the path of a recording file for this step."""
@@ -234,10 +233,9 @@ def check_and_prove(context: StepContext) -> Iterator[Item]:
     failures = []
     for _ in range(CHECKS):
         results = check_rig(
-            context.config,
+            context.rig(),
             context.folder.parent,
             1.0,
-            context.clock if context.is_simulated else None,
         )
         failures += [
             f"{result.what}: {result.text}" for result in results if result.state == "wrong"
@@ -266,7 +264,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     the force."""
     operator = context.operator
     operator.wait("Turn the shaft to zero by hand and release it")
-    zero_angle(context.config, context.clock if context.is_simulated else None)
+    zero_angle(context.rig())
     with DriveWatch(context.config, context.clock) as watch:
         for what, degrees in (("a quarter turn", 90), ("a whole turn", 360)):
             operator.wait(
@@ -277,7 +275,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
             passed = abs(angle - wanted) <= ANGLE_TOLERANCE_RAD
             yield measured(what, angle, f"{wanted:.3f} +- {ANGLE_TOLERANCE_RAD} rad", passed, "rad")
     operator.wait("Turn the shaft back to zero, and do not touch the force sensor")
-    zero_force(context.config, clock=context.clock if context.is_simulated else None)
+    zero_force(context.rig())
     rig = context.rig()
     rig.sensor.open()
     try:

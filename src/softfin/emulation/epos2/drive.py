@@ -15,22 +15,23 @@ from typing import Any, NamedTuple
 import can
 import canopen
 
-from softfin.core.clock import REAL, Clock
+from softfin.core.clock import Clock
 from softfin.core.json_object import JsonObject
-from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, protocol
-from softfin.rig.devices.epos2.config import Epos2Config, Units
-from softfin.rig.devices.epos2.emulated_motor import EmulatedMotor
-from softfin.rig.devices.epos2.emulated_objects import (
+from softfin.emulation.epos2 import motor as motor_states
+from softfin.emulation.epos2.motor import EmulatedMotor
+from softfin.emulation.epos2.objects import (
     OUT_OF_RANGE,
     READ_ONLY_OBJECTS,
     ProcessData,
     dictionary,
     values,
 )
+from softfin.emulation.fin import EmulatedFin
+from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.devices.epos2 import protocol
+from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.protocol import Bit, Object, State
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.simulated_network import open_bus
 
 MOTION_STEP_S = 0.005
 RECEIVE_TIMEOUT_S = 0.05
@@ -99,7 +100,7 @@ class EmulatedDrive:
         bus_config: BusConfig,
         config: Epos2Config,
         fin: EmulatedFin,
-        clock: Clock = REAL,
+        clock: Computer = COMPUTER,
         traits: DriveTraits = USUAL,
     ) -> None:
         self._config = config
@@ -137,7 +138,7 @@ class EmulatedDrive:
             protocol.MOTOR_CURRENT.number: lambda: motor.current,
         }
         self._ending = clock.event()
-        bus = self._network.bus = open_bus(bus_config, clock)
+        bus = self._network.bus = clock.open_bus(bus_config)
         self._network[config.node] = self._node
         self.reboot()
         self._threads = [
@@ -287,7 +288,7 @@ class EmulatedDrive:
     def _run(self) -> None:
         while not self._ending.wait(MOTION_STEP_S):
             with self._lock, contextlib.suppress(can.CanError):
-                self._enter(emulated_motor.BY_ITSELF.get(self.state, self.state))
+                self._enter(motor_states.BY_ITSELF.get(self.state, self.state))
                 if (
                     self.state is State.FAULT_REACTION_ENABLED
                     and abs(self.motor.rpm) <= EMULATED_STANDSTILL_RPM
@@ -333,7 +334,7 @@ class EmulatedDrive:
                 self._word = protocol.CONTROLWORD.layout.unpack(data)[0]
                 if self._is_cut_off and self._traits.needs_reset_of_communication:
                     self._word &= ~protocol.FAULT_RESET
-                self._enter(emulated_motor.next_state(was, self._word, before))
+                self._enter(motor_states.next_state(was, self._word, before))
                 if was is State.FAULT and self.state is not State.FAULT:
                     self._emergency(0)
                 if self.state is State.OPERATION_ENABLED:

@@ -4,9 +4,11 @@ import itertools
 import pynetft
 import pytest
 
-from softfin.core.clock import REAL
-from softfin.rig import simulated_network
-from softfin.rig.devices.axia80.emulated_sensor import ADC_RATE_HZ, LOOPBACK, EmulatedAxia80
+from softfin.emulation import network as simulated_network
+from softfin.emulation.axia80 import ADC_RATE_HZ, LOOPBACK, EmulatedAxia80
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import SimulatedSocket
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.axia80.rdt import (
     BUSY,
     OVER_RANGE,
@@ -14,8 +16,6 @@ from softfin.rig.devices.axia80.rdt import (
     decode_record,
     encode_request,
 )
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from tests.patience import HANG_S, wait_until
 from tests.rig.still_fin import StillFin
 
@@ -173,7 +173,7 @@ def test_a_client_of_somebody_else_understands_it(force_unit, torque_unit):
         0,
         counts=(1e4, 1e4),
         units=(force_unit, torque_unit),
-        clock=REAL,
+        clock=COMPUTER,
         rate_hz=200.0,
     ) as sensor:
         # This client takes a busy sensor for a broken one.

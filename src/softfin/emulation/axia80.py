@@ -6,7 +6,6 @@ flagged.
 
 import contextlib
 import itertools
-import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -17,8 +16,10 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from softfin.core.choices import LOOPBACK
-from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
 from softfin.rig.devices.axia80.rdt import (
     BUSY,
@@ -28,10 +29,7 @@ from softfin.rig.devices.axia80.rdt import (
     decode_request,
     encode_record,
 )
-from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.machine import rotated, rotation
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Measuring range of the M20 [N, N m], not verified; loads beyond it are flagged and clipped."""
@@ -64,7 +62,7 @@ class EmulatedAxia80:
         frame: str = "x,y",
         units: tuple[str, str] = ("N", "N-m"),
         counts: tuple[float, float] = (1e6, 1e6),
-        clock: Clock = REAL,
+        clock: Computer = COMPUTER,
     ) -> None:
         """`units` are those of force and torque, and `counts` the counts per unit of each."""
         self.rate_hz = rate_hz
@@ -105,18 +103,15 @@ class EmulatedAxia80:
         self._stream: _Stream | None = None
         self._ports = contextlib.ExitStack()
         wake_s = max(WAKE_S, 1 / rate_hz)
-        self._socket: socket.socket | SimulatedSocket
+        self._socket = clock.udp_socket()
+        self._socket.settimeout(wake_s)
+        self._socket.bind((LOOPBACK, rdt_port))
+        self.rdt_port = int(self._socket.getsockname()[1])
         if isinstance(clock, SimulatedClock):
-            self._socket = SimulatedSocket(clock, LOOPBACK, rdt_port, wake_s)
-            self.rdt_port = self._socket.address[1]
             self.http_port = http_port or self.rdt_port
             clock.shared["http", LOOPBACK, self.http_port] = self.pages
             self._ports.callback(clock.shared.pop, ("http", LOOPBACK, self.http_port), None)
         else:
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._socket.settimeout(wake_s)
-            self._socket.bind((LOOPBACK, rdt_port))
-            self.rdt_port = int(self._socket.getsockname()[1])
             server = serve_pages(http_port, self.pages)
             self.http_port = server.server_port
             self._ports.callback(server.server_close)

@@ -7,10 +7,10 @@ Every target takes effect immediately, as requested by our driver; relative targ
 import random
 from collections.abc import Callable
 
+from softfin.emulation.fin import EmulatedFin
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Units
 from softfin.rig.devices.epos2.protocol import Object, State
-from softfin.rig.emulated_fin import EmulatedFin
 
 NEW_TARGET_BIT = 1 << 4
 RELATIVE_BIT = 1 << 6

@@ -2,11 +2,11 @@
 
 import pytest
 
+from softfin.emulation.epos2.motor import EmulatedMotor
+from softfin.emulation.epos2.objects import values
+from softfin.emulation.fin import FinMotion
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Units
-from softfin.rig.devices.epos2.emulated_motor import EmulatedMotor
-from softfin.rig.devices.epos2.emulated_objects import values
-from softfin.rig.emulated_fin import FinMotion
 from tests.rig.devices.epos2.bench import drive_config
 from tests.rig.machines import Hours
 from tests.rig.simple_fin import SimpleFin

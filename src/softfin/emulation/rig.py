@@ -15,20 +15,27 @@ from typing import Any
 
 import yaml
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
+from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.device import (
+    DRIVES,
+    SENSORS,
+    drive_config,
+    find_emulator,
+    sensor_config,
+)
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import SIMULATED
+from softfin.emulation.tank import TankFin
 from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
 from softfin.rig.device import DriveConfig, ForceSensorConfig
-from softfin.rig.devices.registry import find_drive, find_force_sensor
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.emulation.bus import HOST, SocketcandServer
-from softfin.rig.emulation.tank import TankFin
 from softfin.rig.lock import DeviceLock
 from softfin.rig.record import record_file
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SIMULATED
+from softfin.rig.rig import Rig
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 
@@ -47,39 +54,42 @@ class EmulatedRig(contextlib.ExitStack):
         seed: int = 0,
         fin: EmulatedFin | None = None,
         channel: str | None = None,
-        clock: Clock | None = None,
+        clock: Computer | None = None,
         drive: str = DriveConfig.DEFAULT_TYPE,
         sensor: str = ForceSensorConfig.DEFAULT_TYPE,
     ) -> None:
         """`fin` replaces the tank and must use the same clock; `channel` is that of the bus, by
         default a new one for each rig. `drive` and `sensor` are types of devices."""
         super().__init__()
-        self.clock = clock or SimulatedClock()
+        self.clock: Computer = clock or SimulatedClock()
         if fin is None:
             tank = tank or Tank()
             fin = TankFin(tank, seed, self.clock)
         self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
-        simulated = isinstance(self.clock, SimulatedClock)
-        sensor_type = find_force_sensor(sensor)
-        self._sensor = sensor_type.emulated_config()
+        self._sensor = sensor_config(sensor)
         # Not the protocol's type: tests provoke the faults of each emulator.
-        self.sensor: Any = sensor_type.emulate(self._sensor, self.fin, self.clock)
+        self.sensor: Any = find_emulator(SENSORS, sensor).start(self._sensor, self.fin, self.clock)
         self.callback(self.sensor.close)
-        drive_type = find_drive(drive)
-        self._drive = _drive_config(drive, tank, real_time=not simulated)
+        self._drive = _drive_config(drive, tank, real_time=not self.clock.is_simulated)
         bus = BusConfig(interface="virtual", channel=self.channel)
-        self.drive: Any = drive_type.emulate(self._drive, bus, self.fin, self.clock)
+        self.drive: Any = find_emulator(DRIVES, drive).start(self._drive, bus, self.fin, self.clock)
         self.callback(self.drive.close)
-        self.server = None if simulated else self.enter_context(SocketcandServer(self.channel))
+        self.server: Any = None
+        if not self.clock.is_simulated and self._drive.NEEDS_BUS:
+            self.server = self.enter_context(SocketcandServer(self.channel))
 
     def save(self) -> None:
         """Save the state for the next command, if the rig has a file."""
 
+    def connect(self, config: RigConfig) -> Rig:
+        """Return the host's side of this rig, which saves the state when it is closed."""
+        return _HostSide(config, self)
+
     def description(self) -> str:
         """Return a description of the rig's addresses."""
-        place = "in this process, " if self.server is None else ""
-        if self.server is not None and self._drive.NEEDS_BUS:
+        place = "in this process, " if self.clock.is_simulated else ""
+        if self.server is not None:
             place = f"socketcand {HOST}:{self.server.port}, "
         return f"drive: {place}{self.drive.description()}; sensor: {self.sensor.description()}"
 
@@ -92,9 +102,23 @@ class EmulatedRig(contextlib.ExitStack):
         values = _rig_values(self._drive, bus, self._sensor)
         values["drive"] |= self.drive.address()
         values["sensor"] |= self.sensor.address()
-        if self.server is not None:
+        if not self.clock.is_simulated:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
+
+
+class _HostSide(Rig):
+    """A rig that leaves the state of its emulation to the next command."""
+
+    def __init__(self, config: RigConfig, emulated: EmulatedRig) -> None:
+        super().__init__(config, emulated.clock)
+        self._emulated = emulated
+
+    def close(self) -> None:
+        """Stop, release both devices and save the state; raises RunError if it cannot be
+        written."""
+        super().close()
+        self._emulated.save()
 
 
 rigs: dict[Path, EmulatedRig] = {}
@@ -136,7 +160,7 @@ class _KeptRig(EmulatedRig):
         lock = DeviceLock(
             f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16]
         )
-        lock.acquire(REAL)
+        lock.acquire(COMPUTER)
         super().__init__(
             tank,
             config.emulation.seed,
@@ -182,7 +206,7 @@ def write_simulated(
     rig = _rig_values(
         _drive_config(drive, tank, real_time=False),
         {"interface": SIMULATED, "channel": "emulated"},
-        find_force_sensor(sensor).emulated_config(),
+        sensor_config(sensor),
     )
     rig["emulation"] = {"seed": seed, "tank": values}
     write_rig(path, rig, "An emulated rig, run by each command in simulated time")
@@ -217,5 +241,4 @@ def _rig_values(drive: DriveConfig, bus: JsonObject, sensor: ForceSensorConfig) 
 def _drive_config(drive: str, tank: Tank | None, real_time: bool) -> DriveConfig:
     limits = None if tank is None else tank.limits
     acceleration = None if tank is None else float(tank.drive.acceleration)
-    config: DriveConfig = find_drive(drive).emulated_config(limits, acceleration, real_time)
-    return config
+    return drive_config(drive, limits, acceleration, real_time)

@@ -1,23 +1,23 @@
 """An emulated Dynamixel that answers Protocol 2.0 byte for byte, on a pseudo-terminal or, in
-simulated time, on a socket. It turns an emulated fin.
+simulated time, on a simulated line. It turns an emulated fin.
 
 Written from the e-Manual. Not verified there: the torque stays on after the bus watchdog has
 tripped (implied by the e-Manual's example), and a servo whose torque is switched on moves to the
 goal written before.
 """
 
-import contextlib
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Protocol
 
-from softfin.core.choices import LOOPBACK
-from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.network import SimulatedLine
+from softfin.emulation.stream import Pty
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.link import SERVO_PORT
 from softfin.rig.devices.dynamixel.protocol import (
     ALERT,
     BROADCAST,
@@ -29,11 +29,7 @@ from softfin.rig.devices.dynamixel.protocol import (
     Refusal,
     encode_packet,
 )
-from softfin.rig.emulated_fin import EmulatedFin
-from softfin.rig.emulated_stream import Pty
 from softfin.rig.safety import OVERSHOOT_RAD
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 SERVO_STEP_S = 0.01
 """Longest time between two looks at the bus watchdog [s]: half of its unit."""
@@ -53,7 +49,9 @@ class EmulatedServo:
     """Emulated servo, running from construction until `close`; faults may be set from any
     thread."""
 
-    def __init__(self, config: DynamixelConfig, fin: EmulatedFin, clock: Clock = REAL) -> None:
+    def __init__(
+        self, config: DynamixelConfig, fin: EmulatedFin, clock: Computer = COMPUTER
+    ) -> None:
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda answer: (answer,)
         """Function that maps an answer to the bytes that arrive; tests may cut, lose or change
         it."""
@@ -79,7 +77,9 @@ class EmulatedServo:
         """Answers and the times at which they are sent [s]."""
         self._set_eeprom()
         self.power_up()
-        self._line: _Line = _Socket(clock) if isinstance(clock, SimulatedClock) else Pty()
+        self._line = (
+            SimulatedLine(clock, config.port) if isinstance(clock, SimulatedClock) else Pty()
+        )
         self._thread = clock.spawn(self._run, "emulated servo")
 
     def address(self) -> JsonObject:
@@ -344,45 +344,3 @@ class EmulatedServo:
 def _value(table: bytearray, entry: Entry) -> int:
     value: int = entry.layout.unpack_from(table, entry.address)[0]
     return value
-
-
-class _Line(Protocol):
-    """The servo's end of a line."""
-
-    name: str
-    is_open: bool
-
-    def receive(self, wait_s: float) -> bytes:
-        """Wait for bytes for up to `wait_s` [s]."""
-
-    def send(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def close(self) -> None:
-        """Unplug; may be called repeatedly."""
-
-
-class _Socket(_Line):
-    """A socket in simulated time. Answers go to the most recent sender."""
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self._socket = SimulatedSocket(clock, LOOPBACK, SERVO_PORT)
-        self._host = (LOOPBACK, 0)
-        self.name = "simulated"
-        self.is_open = True
-
-    def receive(self, wait_s: float) -> bytes:
-        self._socket.timeout = wait_s
-        try:
-            data, self._host = self._socket.recvfrom(4096)
-        except (BlockingIOError, OSError):
-            return b""
-        return data
-
-    def send(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):
-            self._socket.sendto(data, self._host)
-
-    def close(self) -> None:
-        self.is_open = False
-        self._socket.close()

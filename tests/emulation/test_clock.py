@@ -11,7 +11,7 @@ import time
 import pytest
 
 from softfin.core.clock import REAL, Clock
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
 from tests.patience import HANG_S
 
 
@@ -295,7 +295,7 @@ def test_ctrl_c_gets_through_and_leaves_the_clock_whole():
 
 def test_a_program_that_ends_does_not_wait_for_its_threads():
     program = (
-        "from softfin.rig.simulated_clock import SimulatedClock\n"
+        "from softfin.emulation.clock import SimulatedClock\n"
         "clock = SimulatedClock()\n"
         "clock.spawn(lambda: [clock.sleep(0.01) for _ in iter(int, 1)], 'endless')\n"
         "clock.sleep(1.0)\n"

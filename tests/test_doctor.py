@@ -7,17 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from softfin import installation
+from softfin import doctor
+from softfin.doctor import examine
 from softfin.installation import EXTRAS
-from softfin.rig import doctor
 from softfin.rig.device import CheckResult
-from softfin.rig.doctor import examine
 from tests.patience import HANG_S
-from tests.rig.rigs import filed, simulated
 
 
-def results(rig: Path | None = None) -> dict[str, CheckResult]:
-    return {result.what: result for result in examine(rig)}
+def results() -> dict[str, CheckResult]:
+    return {result.what: result for result in examine()}
 
 
 @pytest.fixture
@@ -36,28 +34,26 @@ def net(tmp_path, monkeypatch):
 
 
 def test_every_part_has_a_line_and_none_names_the_users_home(monkeypatch):
-    monkeypatch.setattr(doctor.Path, "home", lambda: Path(sys.prefix).parent)
+    monkeypatch.setenv("HOME", str(Path(sys.prefix).parent))
     found = results()
     assert list(found) == [
         "softfin",
         "Python",
         "system",
-        "processor",
-        "memory",
-        "libraries",
+        "packages",
         *(f"[{extra}]" for extra in EXTRAS),
         "JAX",
         "compile cache",
         "disk",
-        "threads",
         "CAN",
+        "serial ports",
     ]
     for result in found.values():
         assert "\n" not in result.text
         assert str(Path(sys.prefix).parent) not in result.text
     assert found["Python"].text.partition(", ")[2].startswith("~/")
     assert "cpu:0" in found["JAX"].text
-    assert "numpy " in found["libraries"].text
+    assert "numpy " in found["packages"].text
 
 
 def test_can_interfaces_are_listed_with_what_brings_one_up(net):
@@ -66,7 +62,7 @@ def test_can_interfaces_are_listed_with_what_brings_one_up(net):
     assert results()["CAN"] == CheckResult("CAN", "well", "can0 up")
     net("can1", 280, 0x40080)
     assert results()["CAN"] == CheckResult(
-        "CAN", "note", "can0 up, can1 down; run: sudo ip link set can1 up type can bitrate 1000000"
+        "CAN", "note", "can0 up, can1 down; run: sudo ip link set NAME up type can bitrate 1000000"
     )
 
 
@@ -83,16 +79,23 @@ def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
     assert results()["compile cache"].state == "wrong"
 
 
+def test_a_serial_port_that_may_not_be_used_is_a_note(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor, "DEVICES", tmp_path)
+    assert results()["serial ports"].text.startswith("none on USB")
+    (tmp_path / "ttyUSB0").touch()
+    assert results()["serial ports"] == CheckResult(
+        "serial ports", "well", str(tmp_path / "ttyUSB0")
+    )
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    assert "usermod -aG dialout" in results()["serial ports"].text
+
+
 def test_an_extra_that_is_not_there_says_how_it_is_added(monkeypatch):
-    wanted = {"learn": ["numpy", "no-such-thing"], "onnx": ["mcap", "numpy", "no-such-thing"]}
-    monkeypatch.setattr(installation, "extra_requirements", lambda extra: wanted.get(extra, []))
-    monkeypatch.setattr(doctor, "extra_requirements", installation.extra_requirements)
-    # It brings `learn`, and does not work without it.
-    assert results()["[onnx]"].text.startswith("lacks no-such-thing; if you need it: ")
-    learn = results()["[learn]"]
-    assert learn.state == "note"
-    assert learn.text.startswith("lacks no-such-thing; if you need it: ")
-    assert "[learn]" in learn.text
+    wanted = {"learn": ["numpy", "no-such-thing"]}
+    monkeypatch.setattr(doctor, "extra_requirements", lambda extra: wanted.get(extra, []))
+    assert results()["[learn]"] == CheckResult(
+        "[learn]", "note", 'lacks no-such-thing; if you need it: pip install "softfin[learn]"'
+    )
 
 
 def test_what_jax_raises_is_a_line(monkeypatch):
@@ -114,21 +117,6 @@ def test_a_gpu_that_jax_does_not_use_is_a_note(tmp_path, monkeypatch):
     )
     assert results()["JAX"].state == "note"
     assert "the NVIDIA GPU is not used" in results()["JAX"].text
-
-
-def test_a_rig_is_asked_whether_its_devices_answer(tmp_path):
-    with simulated() as behind, filed(behind, tmp_path / "rig.yaml") as file:
-        found = results(file)
-        assert found["force sensor"].state == found["drive"].state == "well"
-        behind.sensor.close()
-        found = results(file)
-        assert found["force sensor"].state == "wrong"
-        assert found["drive"].state == "well"
-
-
-def test_a_rigs_file_that_cannot_be_is_a_line(tmp_path):
-    (tmp_path / "rig.yaml").write_text("fin: 1\n")
-    assert results(tmp_path / "rig.yaml")["rig file"].state == "wrong"
 
 
 def test_without_jax_it_is_a_note():

@@ -39,13 +39,18 @@ class _Member:
         self.signal.acquire()
 
 
-class SimulatedClock(Clock):
+class SimulatedTime(Clock):
     """Clock to use in the thread that creates it, and in the threads that it spawns."""
+
+    is_simulated = True
 
     def __init__(self) -> None:
         self._now = BEGIN_S
-        self._wall = time.time()
+        # Whole seconds, so that times derived from the wall clock are rounded alike in every run.
+        self._wall = int(time.time())
         self._suspended_s = 0.0
+        self.wall_set_s = 0.0
+        """Time by which the wall clock has been set forward [s]; tests may change it."""
         self.shared: dict[Any, Any] = {}
         """Buses, sockets and web pages on this clock, by address."""
         self._guard = threading.RLock()
@@ -62,8 +67,8 @@ class SimulatedClock(Clock):
 
     def wall(self) -> float:
         """Return the wall-clock time [s]: that at which the clock was created, plus the simulated
-        time since."""
-        return self._wall + self._now - BEGIN_S
+        time since, plus `wall_set_s`."""
+        return self._wall + (self._now - BEGIN_S) + self.wall_set_s
 
     def suspended(self) -> float:
         """Return the total time for which `suspend` has suspended the computer [s]."""
@@ -159,7 +164,7 @@ class SimulatedClock(Clock):
 
 
 class _Thread(threading.Thread):
-    def __init__(self, clock: SimulatedClock, target: Callable[[], object], name: str) -> None:
+    def __init__(self, clock: SimulatedTime, target: Callable[[], object], name: str) -> None:
         super().__init__(target=target, name=name, daemon=True)
         self.member = _Member()
         self._clock = clock
@@ -182,7 +187,7 @@ class _Thread(threading.Thread):
 
 
 class _Condition(threading.Condition):
-    def __init__(self, clock: SimulatedClock) -> None:
+    def __init__(self, clock: SimulatedTime) -> None:
         self._clock = clock
         self._owner = 0
         self._count = 0
@@ -235,7 +240,7 @@ class _Condition(threading.Condition):
 
 
 class _Event(threading.Event):
-    def __init__(self, clock: SimulatedClock) -> None:
+    def __init__(self, clock: SimulatedTime) -> None:
         super().__init__()
         self._clock = clock
 

@@ -85,7 +85,7 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
                 clock.spawn(drive.stop, "stop").join(5.0)
             else:
                 drive.stop()
-            _watch_drive(drive, pace, 50)
+            _watch(drive, pace, 50, DriveReading)
             _check_still(drive, pace, "after stop")
             _check_refusal(drive, "after stop")
             if drive.stop_unconfirmed is not None:
@@ -117,29 +117,10 @@ def _check_closed(device: Drive | ForceSensor) -> None:
 
 def _watch_force(sensor: ForceSensor, pace: Pace) -> None:
     """Read for two seconds; each reading must make sense."""
-    clock = sensor.clock
     before = sensor.counters().get("sensor_records", 0)
-    readings: list[ForceReading] = []
-    durations = []
-    pace.start()
-    for _ in range(200):
-        pace.wait()
-        started = clock()
-        reading: Any = sensor.read()
-        durations.append(clock() - started)
-        _check_values(sensor, reading)
-        if readings and reading.force_time < readings[-1].force_time:
-            _fail(sensor, "force_time went back", "times must increase")
-        age_s = clock() - reading.force_time
-        if not -1e-6 <= age_s <= MAX_AGE_S:
-            _fail(sensor, f"force_time is {age_s:.3f} s ago", f"it must be 0 to {MAX_AGE_S:g} s")
-        if lines := sensor.complaints():
-            _fail(sensor, f"complains: {lines[0]}", "there must be no fault")
-        readings.append(reading)
-    if (median_s := sorted(durations)[100]) > SLOW_READ_S:
-        _fail(sensor, f"read takes {1e3 * median_s:.0f} ms", "it must not wait")
-    if readings[-1].force_time == readings[0].force_time:
-        _fail(sensor, "force_time does not change", "it must be the time of the force")
+    readings = _watch(sensor, pace, 200, ForceReading)
+    if min(min(reading.peak) for reading in readings) < 0:
+        _fail(sensor, "peak is negative", "it must contain magnitudes")
     counters = sensor.counters()
     if missing := {"sensor_records", "sensor_lost"} - counters.keys():
         _fail(sensor, f"counters lack {', '.join(sorted(missing))}", "they are required")
@@ -149,13 +130,36 @@ def _watch_force(sensor: ForceSensor, pace: Pace) -> None:
         _fail(sensor, f"delay_s is {sensor.delay_s:g}", f"it must be 0 to {MAX_AGE_S:g} s")
 
 
-def _check_values(sensor: ForceSensor, reading: Any) -> None:
-    if not isinstance(reading, ForceReading):
-        _fail(sensor, f"read returns {type(reading).__name__}", "it must be a ForceReading")
-    if not np.isfinite([reading.force_time, *reading.wrench, *reading.peak]).all():
-        _fail(sensor, f"a reading is not finite ({reading})", "drop such records")
-    if min(reading.peak) < 0:
-        _fail(sensor, f"peak is negative ({reading.peak})", "it must contain magnitudes")
+def _watch(device: Drive | ForceSensor, pace: Pace, ticks: int, kind: Any) -> list[Any]:
+    """Read; each reading must be of a kind and make sense. Return the readings, which start with
+    their time."""
+    time_name = kind._fields[0]
+    clock = pace.clock
+    readings: list[Any] = []
+    durations = []
+    pace.start()
+    for _ in range(ticks):
+        pace.wait()
+        started = clock()
+        reading: Any = device.read()
+        durations.append(clock() - started)
+        if not isinstance(reading, kind):
+            _fail(device, f"read returns {type(reading).__name__}", f"it must be a {kind.__name__}")
+        if not np.isfinite(np.hstack([part for part in reading if part is not None])).all():
+            _fail(device, f"a reading is not finite ({reading})", "drop it or report a complaint")
+        if readings and reading[0] < readings[-1][0]:
+            _fail(device, f"{time_name} went back", "times must increase")
+        age_s = clock() - reading[0]
+        if not -1e-6 <= age_s <= MAX_AGE_S:
+            _fail(device, f"{time_name} is {age_s:.3f} s ago", f"it must be 0 to {MAX_AGE_S:g} s")
+        if lines := device.complaints():
+            _fail(device, f"complains: {lines[0]}", "there must be no fault")
+        readings.append(reading)
+    if (median_s := sorted(durations)[ticks // 2]) > SLOW_READ_S:
+        _fail(device, f"read takes {1e3 * median_s:.0f} ms", "it must not wait")
+    if readings[-1][0] == readings[0][0]:
+        _fail(device, f"{time_name} does not change", "it must be the time of the values")
+    return readings
 
 
 def _check_zero(sensor: ForceSensor) -> None:
@@ -189,32 +193,8 @@ def _check_silence(sensor: ForceSensor) -> None:
         _fail(sensor, "force_time is recent although nothing arrives", "it must stay the same")
 
 
-def _watch_drive(drive: Drive, pace: Pace, ticks: int) -> list[float]:
-    """Read; each reading must make sense. Return the angles."""
-    readings: list[DriveReading] = []
-    pace.start()
-    for _ in range(ticks):
-        pace.wait()
-        reading: Any = drive.read()
-        if not isinstance(reading, DriveReading):
-            _fail(drive, f"read returns {type(reading).__name__}", "it must be a DriveReading")
-        if not np.isfinite([value for value in reading if value is not None]).all():
-            _fail(drive, f"a reading is not finite ({reading})", "report a complaint instead")
-        if readings and reading.time < readings[-1].time:
-            _fail(drive, "time went back", "times must increase")
-        if not -1e-6 <= pace.clock() - reading.time <= MAX_AGE_S:
-            age_s = pace.clock() - reading.time
-            _fail(drive, f"time is {age_s:.3f} s ago", f"it must be 0 to {MAX_AGE_S:g} s")
-        if lines := drive.complaints():
-            _fail(drive, f"complains: {lines[0]}", "there must be no fault")
-        readings.append(reading)
-    if readings[-1].time == readings[0].time:
-        _fail(drive, "time does not change", "it must be the time of the angle")
-    return [reading.angle for reading in readings]
-
-
 def _check_still(drive: Drive, pace: Pace, when: str) -> None:
-    angles = _watch_drive(drive, pace, 50)
+    angles = [reading.angle for reading in _watch(drive, pace, 50, DriveReading)]
     way = max(angles) - min(angles)
     if way > AT_REST_RAD:
         _fail(drive, f"moved by {way:.3f} rad {when}", "it must move under a command only")
@@ -226,12 +206,12 @@ def _check_motion(drive: Drive, pace: Pace) -> None:
     is_low = start < (limits.angle_min + limits.angle_max) / 2
     step = STEP_RAD if is_low else -STEP_RAD
     drive.command(Target(start + step, limits.velocity_min))
-    moved = _watch_drive(drive, pace, 100)[-1] - start
+    moved = _watch(drive, pace, 100, DriveReading)[-1].angle - start
     if moved / step < 0.25:
         _fail(drive, f"moved {moved:.3f} rad within 1 s", f"the command was {step} rad")
     # Leave it in motion, so that a stop has something to do.
     drive.command(Target(start, limits.velocity_min))
-    _watch_drive(drive, pace, 3)
+    _watch(drive, pace, 3, DriveReading)
 
 
 def _check_refusal(drive: Drive, when: str) -> None:

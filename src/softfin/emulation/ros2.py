@@ -4,8 +4,8 @@ immediately and in order, within one process."""
 import itertools
 from collections import deque
 
+from softfin.emulation.time import SimulatedTime
 from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
-from softfin.rig.simulated_clock import SimulatedClock
 
 _numbers = itertools.count(1)
 
@@ -16,7 +16,7 @@ class SimulatedTransport:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, clock: SimulatedClock) -> None:
+    def __init__(self, clock: SimulatedTime) -> None:
         self._clock = clock
         self._name = f"node {next(_numbers)}"
         self._all: list[SimulatedTransport] = clock.shared.setdefault("ROS 2", [])

@@ -1,15 +1,15 @@
 import socket
 
-from softfin.core.clock import REAL
+from softfin.emulation.rig import EmulatedRig, write_rig, write_simulated
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import EmulatedRig, write_rig, write_simulated
 from softfin.tank import Tank
 from tests.patience import HANG_S
 from tests.rig.simple_fin import SimpleFin
 
 
 def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
-    with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
+    with EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as emulated:
         write_rig(tmp_path / "rig.yaml", emulated.values(), "An emulated rig")
         config = load_rig(tmp_path / "rig.yaml")
         socket.create_connection(
@@ -30,7 +30,7 @@ def test_its_limits_are_the_tanks(tmp_path):
 
 
 def test_it_closes_any_number_of_times_and_frees_its_ports():
-    emulated = EmulatedRig(fin=SimpleFin(), clock=REAL)
+    emulated = EmulatedRig(fin=SimpleFin(), clock=COMPUTER)
     port = emulated.server.port
     for _ in range(3):
         emulated.close()

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softfin.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
+from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
-from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
 from tests.patience import HANG_S, wait_until
 from tests.rig.devices.epos2.bench import drive_config
 from tests.rig.simple_fin import SimpleFin

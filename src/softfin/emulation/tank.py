@@ -16,7 +16,7 @@ from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
-from softfin.rig.emulated_fin import COAST_RAD_S2, FinMotion
+from softfin.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
 from softfin.tank.drive import AMPERE_PER_NM
 

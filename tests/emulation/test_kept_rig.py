@@ -7,11 +7,12 @@ import pytest
 
 from softfin.cli import main
 from softfin.core.errors import RigError
+from softfin.emulation.rig import kept_rig, rigs, state_file, write_simulated
+from softfin.emulation.tank import _tick
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.rig import kept_rig, rigs, state_file, write_simulated
-from softfin.rig.emulation.tank import _tick
 from softfin.rig.machine import Target
-from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.rig import zero_angle, zero_force
+from softfin.stages.machines import find_rig
 from softfin.tank import Tank
 
 
@@ -39,7 +40,7 @@ def made(folder, tank, seed=0):
 
 def moved(file, goal=0.8, ticks=60):
     """Readings of a stroke; each call is as a command of its own."""
-    rig = Rig(load_rig(file))
+    rig = find_rig(load_rig(file))
     rig.open()
     try:
         rig.enable()
@@ -58,8 +59,8 @@ def moved(file, goal=0.8, ticks=60):
 
 
 def zeroed(file):
-    zero_angle(load_rig(file))
-    zero_force(load_rig(file), seconds=0.2)
+    zero_angle(find_rig(load_rig(file)))
+    zero_force(find_rig(load_rig(file)), seconds=0.2)
     close_rigs()
 
 
@@ -101,7 +102,7 @@ def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
     assert one is other
     # Whatever the tank and its state, one program moves it.
     assert _tick._cache_size() - programs <= 1
-    assert Rig(load_rig(file)).clock is one.clock
+    assert find_rig(load_rig(file)).clock is one.clock
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
-"""Conformance kit, here and in users' tests: `check_plant`, `check_surrogate`, `check_drive` and
-`check_force_sensor` check a plant, surrogate, drive or force sensor against its contract."""
+"""Checks of a plant and of a surrogate against their contracts."""
 
 import itertools
 import tempfile
@@ -18,13 +17,10 @@ from softfin.core.plant import EnsemblePlant, Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading, action_to_command
 from softfin.data.excitation import ExcitationConfig
-from softfin.rig.device_conformance import check_drive, check_force_sensor
 from softfin.surrogate.channels import ANGLE, FORCES, SKIPPED
 from softfin.surrogate.protocol import SurrogatePlant
 from softfin.surrogate.registry import find_architecture
 from softfin.surrogate.store import load_surrogate, save_surrogate
-
-__all__ = ("check_drive", "check_force_sensor", "check_plant", "check_surrogate")
 
 STROKE_TICKS = PAPER_CLOCK.ticks[0]
 
