@@ -40,7 +40,6 @@ GROUPS = {
             "data", "convert CSV files, Parquet files or ROS 2 bags into a dataset"
         ),
         "bag recover": Command("data", "recover the readings of a damaged recording"),
-        "bag convert": Command("data", "convert recordings to Parquet or ROS 2 bags"),
     },
     "Model": {
         "fit": Command("surrogates", "fit a surrogate model of the fin to logs"),
@@ -119,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def list_actions(name: str) -> tuple[str, ...]:
-    """Return the second words of a command, such as ``recover`` and ``convert`` for ``bag``."""
+    """Return the second words of a command, such as ``recover`` for ``bag``."""
     return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
 
 

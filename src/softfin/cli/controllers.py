@@ -3,7 +3,6 @@
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from softfin.cli.common import (
@@ -12,13 +11,11 @@ from softfin.cli.common import (
     ControllerFolder,
     File,
     Out,
-    folder_option,
     plant,
     progress,
 )
 from softfin.cli.options import Option
 from softfin.core.choices import PolicyLayout, TrainingRangeName
-from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 
 if TYPE_CHECKING:
@@ -175,45 +172,22 @@ def asked_clock(text: str | None, plant: str) -> "ActionClock":
 
 
 class ExportArguments(Common):
-    """Export one step of a controller or of a surrogate to ONNX, with its state as inputs and
-    outputs. Requires softfin[onnx]."""
+    """Export one step of a controller to ONNX, with its state as inputs and outputs. Requires
+    softfin[onnx]."""
 
-    controller: ControllerFolder | None = None
-    """Controller folder; not with --surrogate."""
-    surrogate: Annotated[Path, folder_option("surrogate")] | None = None
-    """Surrogate folder to export instead: one step of 10 ms, for other simulators."""
+    controller: ControllerFolder
     onnx: File
     """File to write; its metadata describe the inputs."""
 
-    def check(self) -> None:
-        """Reject a controller with a surrogate, or neither of them."""
-        if (self.controller is None) == (self.surrogate is None):
-            raise ConfigurationError("use either CONTROLLER or --surrogate DIR")
-        super().check()
-
     def __call__(self) -> None:
-        from softfin.storage.onnx_file import OPSET
+        from softfin.control.onnx import EPISODE, export_onnx
+        from softfin.control.store import load_controller
 
-        if self.controller is not None:
-            from softfin.control.onnx import EPISODE, export_onnx
-            from softfin.control.store import load_controller
-
-            exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
-            checked = (
-                f"over {EPISODE} actions, onnxruntime's commands differ from softfin's by at most "
-                f"{{}} (rad, rad/s)"
-            )
-        elif self.surrogate is not None:
-            from softfin.surrogate.onnx import CHECK_S, export_surrogate
-
-            exported = export_surrogate(self.surrogate, self.onnx, self.overwrite)
-            checked = (
-                f"over {CHECK_S} s of random commands, onnxruntime's readings differ from "
-                f"softfin's by at most {{}} (rad, rad/s, N)"
-            )
+        exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
         self.tell(
-            {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()},
-            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; "
-            f"{checked.format(f'{exported.worst:.1g}')}\n"
+            {"onnx": str(self.onnx), **exported._asdict()},
+            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; "
+            f"over {EPISODE} actions, onnxruntime's commands differ from softfin's by at most "
+            f"{exported.worst:.1g} (rad, rad/s)\n"
             f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
         )

@@ -207,41 +207,9 @@ class BagRecoverArguments(Common):
         out = self.out or recovered_path(self.path)
         recovery = recover(self.path, out, self.overwrite)
         messages = counted(sum(recovery.messages.values()), "message")
-        span = f"{messages} over {recovery.seconds:.1f} s"
-        if recovery.whole:
-            result = {"recovered": None, **recovery.to_dict()}
-            self.tell(result, f"{self.path}: not damaged, {span}; nothing written")
-            return
-        lost = sum(damage.length for damage in recovery.damages)
-        reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
+        reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)
+        state = f"damaged at {reasons[:300]}" if reasons else "not damaged"
         self.tell(
             {"recovered": str(out), **recovery.to_dict()},
-            f"{out}: {span} recovered; {lost:,} bytes could not be read ({reasons[:300]})",
+            f"{out}: {messages} recovered; {state}",
         )
-
-
-class BagConvertArguments(LogOptions, Common):
-    """Convert recordings of any kind to Parquet logs or ROS 2 bags."""
-
-    path: Annotated[Path, Option("RECORDING", positional=True)]
-    """Recording, or folder of recordings."""
-    out: File
-    """File to write; its suffix (.parquet or .mcap) selects the format."""
-    ignore_errors: bool = False
-    """Also convert logs with errors."""
-
-    def __call__(self) -> None:
-        from softfin.data.convert import convert
-
-        result = convert(
-            self.path,
-            self.out,
-            self.recordings,
-            ignore_errors=self.ignore_errors,
-            overwrite=self.overwrite,
-        )
-        text = (
-            f"{', '.join(result['files'])}: {result['rows']:,} rows; "
-            f"{issue_counts(result['counts'])}"
-        )
-        self.tell(result, f"{self.columns_read(result['columns'])}{text}")
