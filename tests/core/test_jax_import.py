@@ -20,7 +20,7 @@ import types
 import jax
 
 # What these do is their own affair.
-others = ("equinox", "optax", "cma", "gymnasium", "tensorboardX", "matplotlib.pyplot", "ray", "spox", "onnxruntime")
+others = ("equinox", "optax", "cma", "gymnasium", "matplotlib.pyplot", "ray", "spox", "onnxruntime")
 for name in others:
     with contextlib.suppress(ImportError):
         importlib.import_module(name)

@@ -21,7 +21,7 @@ plants have neither.
 """
 
 from itertools import pairwise
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,7 +31,6 @@ from jaxtyping import Array, Float
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.plant import EnsemblePlant, State
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
@@ -238,8 +237,7 @@ def score_uncertainty(
         return None
     angle, velocity = recording.command
     commands = Command(jnp.asarray(angle[:, 0]), jnp.asarray(velocity[:, 0]))
-    ensemble = cast(EnsemblePlant, jit_argument(plant))
-    distance, force = map(np.asarray, _run_members(ensemble, commands))
+    distance, force = map(np.asarray, _run_members(plant, commands))
     # (members, references, windows, 2): the interval is calibrated for means over 2 s, whatever the
     # clock of the controller.
     means = np.stack([moving_average(member, PAPER_WINDOW) for member in np.moveaxis(force, 2, 0)])

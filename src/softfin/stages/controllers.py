@@ -108,7 +108,7 @@ def train(
     metadata = {
         "configuration": config.model_dump(mode="json"),
         "seed": seed,
-        "plant": identity(plant, computed=True),
+        "plant": identity(plant),
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:

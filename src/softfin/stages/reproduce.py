@@ -147,7 +147,7 @@ class _Reproduction:
         A complete run that is being replaced is kept until this one is complete.
         """
         configuration = self.config.model_dump(mode="json")
-        plant = identity(find_plant(self.plant), computed=True)
+        plant = identity(find_plant(self.plant))
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
             try:
