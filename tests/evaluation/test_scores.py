@@ -13,9 +13,9 @@ from softfin.evaluation.scores import (
     travel,
 )
 from softfin.gaits.reachable import PAPER_REFERENCES
-from softfin.task.signals import Ramp, Recorded, Sinusoid, Step
+from softfin.task.signals import Recorded, step
 
-STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
+STEP = step((1, 0), (2, 0), 5).sample(1500).astype(float)
 
 
 def record(
@@ -155,7 +155,7 @@ def test_a_late_force_settles_later_but_rises_as_fast():
 
 
 def test_overshoot_is_a_part_of_the_step_whatever_its_sign_and_size():
-    reference = Step(start_n=(3, 1), to_n=(1, 2), at_s=5).sample(1500).astype(float)
+    reference = step((3, 1), (1, 2), 5).sample(1500).astype(float)
     force = reference.copy()
     force[500:800] += 0.25 * (reference[500] - reference[0])
     (response,) = step_responses(force, reference)
@@ -174,7 +174,7 @@ def test_settling_is_on_both_axes_and_for_good():
 
 
 def test_a_step_that_is_never_reached_has_no_times():
-    reference = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
+    reference = step((1, 0), (2, 0), 5).sample(1500).astype(float)
     (response,) = step_responses(np.tile([1.0, 0.0], (1500, 1)), reference)
     assert response["rise_x_s"] is None
     assert response["settling_s"] is None
@@ -193,16 +193,14 @@ def test_one_step_is_scored_up_to_the_next():
 
 
 def test_only_changes_between_forces_held_for_a_window_are_steps():
-    assert list_steps(Step(start_n=(1, 0), to_n=(2, 0), at_s=2).sample(400)) == [(200, 400)]
-    assert list_steps(Step(start_n=(1, 0), to_n=(2, 0), at_s=1).sample(400)) == []
-    assert list_steps(Ramp(start_n=(1, 0), to_n=(2, 0), begin_s=5, end_s=10).sample(1500)) == []
-    assert list_steps(Sinusoid(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
+    assert list_steps(step((1, 0), (2, 0), 2).sample(400)) == [(200, 400)]
+    assert list_steps(step((1, 0), (2, 0), 1).sample(400)) == []
+    ramp = np.linspace((1, 0), (2, 0), 1500)
+    assert list_steps(ramp) == []
 
 
 def test_a_force_that_is_its_reference_has_no_error_on_a_ramp_either():
-    reference = (
-        Ramp(start_n=(0, 0), to_n=(2, -4), begin_s=0.01, end_s=20.01).sample(2001)[1:].astype(float)
-    )
+    reference = np.linspace((0, 0), (2, -4), 2001)[1:]
     ticks = np.zeros((1, 1, 2000))
     recording = ExperimentRecording(
         reference[None], Command(ticks, ticks), Reading(ticks, ticks, ticks, reference[None, None])

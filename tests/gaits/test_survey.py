@@ -41,7 +41,8 @@ def test_chunks_do_not_change_what_is_found() -> None:
 
 def test_the_region_reaches_as_far_as_the_fin_and_no_farther() -> None:
     found = surveyed().reachable
-    (x0, y0), (x1, y1) = found.bounds()
+    box = found.bounding_box()
+    (x0, y0), (x1, y1) = box.low, box.high
     assert 0.95 * MOST_N < x1 <= MOST_N + 1e-3
     assert x0 > -0.01
     # The middle of a stroke of s is at most (pi - s) / 2 aside: most is 0.5 pi max_s (1 - cos s)

@@ -20,8 +20,9 @@ the recorded commands again, to get its distance from its training data and its 
 plants have neither.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -30,11 +31,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, State
-from softfin.core.quantities import RATE_HZ, Command
-from softfin.core.window import PAPER_WINDOW, moving_average, moving_error
+from softfin.core.quantities import AXES, RATE_HZ, Command
+from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.results import StepResponse, UncertaintyRow
+from softfin.evaluation.results import AxisScores, MeanScores, StepResponse
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
@@ -105,6 +107,40 @@ def score(recording: ExperimentRecording) -> Scores:
         late_travel=travel(second_half, clock),
         reading_error=reading_error,
     )
+
+
+def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
+    """Return the scores of one reference, or their means over all, for JSON."""
+    chosen: Scores = jax.tree.map(
+        lambda field: field.mean(axis=0) if index is None else field[index], scores
+    )
+    axes = []
+    for axis in range(len(AXES)):
+        row: JsonObject = {}
+        for name in ("error", "std", "raw_std", "reading_error"):
+            values = getattr(chosen, name)
+            if values is not None:
+                own = values[:, axis]
+                row[f"{name}_n"] = float(own.mean())
+                row[f"{name}_interval_n"] = interval(own)
+                row[f"{name}_seeds_n"] = own.tolist()
+        axes.append(cast(AxisScores, row))
+    x, y = axes
+    return {
+        "x": x,
+        "y": y,
+        "command_travel_rad_s": float(chosen.command_travel.mean()),
+        "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
+    }
+
+
+def scores_together(each: Sequence[Scores]) -> Scores:
+    """Combine scores of the same references into one in which each becomes a repetition: its mean
+    over its own repetitions, so that all have equal weight."""
+    together: Scores = jax.tree.map(
+        lambda *fields: np.stack([field.mean(axis=1) for field in fields], axis=1), *each
+    )
+    return together
 
 
 def judged_force(recording: ExperimentRecording) -> str:
@@ -209,7 +245,7 @@ class SurrogateUncertainty(NamedTuple):
     half_width: Float[np.ndarray, "references 2"]
     """Half-width of the mean force's interval, averaged over the windows [N]."""
 
-    def to_dict(self, index: int) -> UncertaintyRow:
+    def to_dict(self, index: int) -> JsonObject:
         """Return the values for one reference as JSON."""
         return {
             "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),

@@ -69,9 +69,10 @@ def map_forces(
     limits = Limits(*map(float, plant.limits))
     save_gaits(out, force_map, tolerance_n, limits, keys, overwrite)
     errors = force_map.gaits.force_error()
+    box = reachable.bounding_box()
     return {
         "controller": str(out),
-        "box_n": reachable.bounds(),
+        "box_n": (box.low, box.high),
         "area_n2": reachable.area(),
         "nodes": errors.size,
         "held": int((errors <= tolerance_n).sum()),
