@@ -13,7 +13,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FOLDERS
 from softfin.storage.run_directory import RunDirectory
 
-HEAD = {"kind": "surrogate", "format": FOLDERS["surrogate"].number}
+HEAD = {"kind": "surrogate", "format": FOLDERS["surrogate"]}
 """Beginning of each description."""
 
 

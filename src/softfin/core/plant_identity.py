@@ -53,18 +53,20 @@ def identity(plant: Plant) -> str:
 def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
     """Yield the place, the type and the content of a value, or those of its members."""
     if isinstance(value, jax.Array | np.ndarray | np.generic):
-        is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
-        array = np.asarray(jax.random.key_data(value) if is_key else value)
+        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+            value = jax.random.key_data(value)
+        array = np.asarray(value)
         # Not the type: JAX and NumPy arrays with the same values are the same parameter.
         yield f"{place}: {array.dtype} {array.shape} ".encode()
         yield array.tobytes()
         return
     yield f"{place}: {type(value).__qualname__} ".encode()
+    function = getattr(value, "__qualname__", "<")
     if isinstance(value, PLAIN):
         yield repr(value).encode()
-    elif callable(value) and "<" not in getattr(value, "__qualname__", "<"):
+    elif callable(value) and "<" not in function:
         # A function of a module or a class; a closure depends on more than its name.
-        yield f"{value.__module__}.{value.__qualname__}".encode()
+        yield f"{value.__module__}.{function}".encode()
     else:
         for name, member in _members(value, place, plant):
             yield from _parts(member, f"{place}.{name}", plant)

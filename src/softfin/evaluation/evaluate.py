@@ -9,7 +9,7 @@ from typing import cast
 import jax.numpy as jnp
 import numpy as np
 import pydantic
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller, controller_clock
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
@@ -21,6 +21,7 @@ from softfin.control.references import (
 )
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
@@ -39,11 +40,12 @@ from softfin.evaluation.results import EvaluationSummary, RangeErrors, Reference
 from softfin.evaluation.scores import (
     STILL_RAD_S,
     Scores,
-    SurrogateUncertainty,
+    data_distance,
     judged_force,
     mean_scores,
+    outside_fraction,
+    outside_warning,
     score,
-    score_uncertainty,
     scores_together,
     settled_band,
 )
@@ -103,8 +105,8 @@ class Evaluation:
     """Number of independent repetitions; 1 for a deterministic plant, which ignores the seed."""
     recording: ExperimentRecording
     """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
-    uncertainty: SurrogateUncertainty | None = None
-    """Uncertainty estimated by a surrogate; None for other plants."""
+    distance: Float[np.ndarray, "references ticks"] | None = None
+    """Distance from a surrogate's training data; None for other plants."""
     warnings: tuple[str, ...] = ()
     """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
@@ -119,7 +121,7 @@ class Evaluation:
     def summary(self) -> EvaluationSummary:
         """Return the conditions, the scores by reference and their mean, as written by
         `write_evaluation`."""
-        uncertain = None if self.uncertainty is None else self.uncertainty.warning()
+        uncertain = None if self.distance is None else outside_warning(self.distance)
         summary = cast(EvaluationSummary, artifacts.head("evaluation"))
         summary |= {
             "conditions": {
@@ -130,7 +132,6 @@ class Evaluation:
                 "window_samples": self.recording.clock.window_ticks,
                 "rate_hz": RATE_HZ,
                 "action_rate_hz": self.recording.clock.rate_hz,
-                "start": "at rest",
                 "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,
@@ -153,15 +154,18 @@ class Evaluation:
 
     def _reference_scores(self, index: int) -> ReferenceScores:
         tracked = self.recording.reference[index]
-        row: ReferenceScores = {
+        row: JsonObject = {
             **mean_scores(self.scores, index),
             "reference_n": list(self.config.references[index]),
             "tracked_reference_n": [round(float(force), 4) for force in tracked],
             "still": bool((self.scores.late_travel[index] < STILL_RAD_S).all()),
         }
-        if self.uncertainty is not None:
-            row["surrogate"] = self.uncertainty.to_dict(index)
-        return row
+        if self.distance is not None:
+            row["surrogate"] = {
+                "out_of_distribution_fraction": outside_fraction(self.distance[index]),
+                "furthest": float(self.distance[index].max()),
+            }
+        return cast(ReferenceScores, row)
 
 
 def score_controller(
@@ -224,32 +228,26 @@ def score_experiments(
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
-    return Evaluation(config, score(recording), repetitions, first, score_uncertainty(plant, first))
+    return Evaluation(config, score(recording), repetitions, first, data_distance(plant, first))
 
 
-def together(each: Sequence[Evaluation]) -> Evaluation:
+def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Combine evaluations into one, in which each becomes a repetition; recordings and plans are
     those of the first."""
-    first = each[0]
+    first = evaluations[0]
     moving = []
-    for same in zip(*(evaluation.moving for evaluation in each), strict=True):
+    for same in zip(*(evaluation.moving for evaluation in evaluations), strict=True):
         scores = scores_together([part.scores for part in same])
-        by_signal = zip(*(part.responses for part in same), strict=True)
-        responses = [list(chain(*own)) for own in by_signal]
-        moving.append(same[0]._replace(scores=scores, responses=responses))
-    uncertainty = first.uncertainty
-    if uncertainty is not None:
-        estimates = [part.uncertainty for part in each if part.uncertainty is not None]
-        outside, furthest, half_width = map(np.stack, zip(*estimates, strict=True))
-        uncertainty = SurrogateUncertainty(
-            outside.mean(axis=0), furthest.max(axis=0), half_width.mean(axis=0)
-        )
-    warnings = dict.fromkeys(chain(*(evaluation.warnings for evaluation in each)))
+        by_signal = zip(*(part.settling for part in same), strict=True)
+        settling = list(map(np.concatenate, by_signal))
+        moving.append(same[0]._replace(scores=scores, settling=settling))
+    distances = [each.distance for each in evaluations if each.distance is not None]
+    warnings = dict.fromkeys(chain(*(evaluation.warnings for evaluation in evaluations)))
     return dataclasses.replace(
         first,
-        scores=scores_together([evaluation.scores for evaluation in each]),
-        repetitions=len(each),
-        uncertainty=uncertainty,
+        scores=scores_together([evaluation.scores for evaluation in evaluations]),
+        repetitions=len(evaluations),
+        distance=np.concatenate(distances, axis=1) if distances else None,
         warnings=tuple(warnings),
         moving=tuple(moving),
     )

@@ -15,9 +15,10 @@ from softfin.core.errors import CoverageError
 from softfin.core.quantities import RATE_HZ
 from softfin.evaluation.experiment import ExperimentRecording, independent, min_seconds
 from softfin.evaluation.range_errors import controller_range
-from softfin.evaluation.results import MovingRow, StepResponse
-from softfin.evaluation.scores import Scores, mean_scores, score, settled_band, step_responses
+from softfin.evaluation.results import MovingRow
+from softfin.evaluation.scores import Scores, mean_scores, score, settled_band, settling_times
 from softfin.gaits.reachable import Cell, ForceVector, Reachable, force_decimals
+from softfin.storage import artifact as artifacts
 from softfin.task.signals import Recorded, ReferenceSamples, step
 
 STEPS = (((3, 3), (5, 3)), ((1, 1), (3, 3)), ((3, 1), (3, 5)), ((5, 3), (1, 1)))
@@ -92,12 +93,11 @@ class MovingPlan(NamedTuple):
         """Score each signal at every seed; errors are relative to the tracked reference."""
         recording = independent(recording)
         window = recording.clock.window_ticks
-        forces = np.asarray(recording.force, np.float64)
-        responses = [
-            [step_responses(force, tracked, self.settled_n, window) for force in own]
-            for own, tracked in zip(forces, self.tracked, strict=True)
-        ]
-        return MovingScores(self, recording.first(), score(recording), responses)
+        settling = []
+        for forces, tracked in zip(np.asarray(recording.force), self.tracked, strict=True):
+            times = [settling_times(force, tracked, self.settled_n, window) for force in forces]
+            settling.append(np.stack(times))
+        return MovingScores(self, recording.first(), score(recording), settling)
 
 
 class MovingScores(NamedTuple):
@@ -108,32 +108,25 @@ class MovingScores(NamedTuple):
     """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1,
     ticks)``."""
     scores: Scores
-    responses: list[list[list[StepResponse]]]
-    """Responses by signal, by seed and by step."""
+    settling: list[Float[np.ndarray, "seeds steps"]]
+    """Settling times by signal [s]; NaN for never."""
 
     def rows(self) -> list[MovingRow]:
         """Return the scores of each signal, for JSON."""
-        return list(map(self._row, range(len(self.responses))))
-
-    def _row(self, index: int) -> MovingRow:
-        plan = self.plan
-        signal = plan.signals[index]
-        tracked = plan.tracked[index]
-        responses = self.responses[index]
-        times = [response["settling_s"] for own in responses for response in own]
-        settled = [time for time in times if time is not None]
-        # Without any step there is nothing to settle.
-        settles = len(settled) == len(times) if times else None
-        replaced = np.any(tracked != signal.sample(len(tracked)), axis=1)
-        return {
-            **mean_scores(self.scores, index),
-            "described": str(signal),
-            "duration_s": plan.seconds,
-            "replaced_s": int(replaced.sum()) / RATE_HZ,
-            "settles": settles,
-            "longest_settling_s": max(settled) if settles else None,
-            "steps": list(map(list, zip(*responses, strict=True))),
-        }
+        rows: list[MovingRow] = []
+        for index, (signal, times) in enumerate(zip(self.plan.signals, self.settling, strict=True)):
+            settles = bool(np.isfinite(times).all()) if times.size else None
+            rows.append(
+                {
+                    **mean_scores(self.scores, index),
+                    "described": str(signal),
+                    "duration_s": self.plan.seconds,
+                    "settles": settles,
+                    "longest_settling_s": float(times.max()) if settles else None,
+                    "settling_s": artifacts.plain(times),
+                }
+            )
+        return rows
 
 
 def _resolve_signal(

@@ -31,7 +31,6 @@ class MeanScores(TypedDict):
 
     x: AxisScores
     y: AxisScores
-    command_travel_rad_s: float
     shaft_travel_rad_s: float
 
 
@@ -47,29 +46,16 @@ class ReferenceScores(MeanScores):
     """Commands of a baseline: a sine or the actions of a gait."""
 
 
-class StepResponse(TypedDict):
-    """Response of the moving average to one step of the reference force."""
-
-    at_s: float
-    start_n: list[float]
-    to_n: list[float]
-    rise_x_s: float | None
-    rise_y_s: float | None
-    overshoot_x_percent: float | None
-    overshoot_y_percent: float | None
-    settling_s: float | None
-
-
 class MovingRow(MeanScores):
     """Scores for one moving reference."""
 
     described: str
     duration_s: float
-    replaced_s: float
     settles: bool | None
+    """Whether every step settles; None without steps."""
     longest_settling_s: float | None
-    steps: list[list[StepResponse]]
-    """Responses by step of the reference and by repetition."""
+    settling_s: list[list[float | None]]
+    """Settling times by repetition and by step of the reference."""
 
 
 class RangeErrors(TypedDict):

@@ -81,7 +81,8 @@ class Cell(Configuration):
 
     def corners(self) -> Float[np.ndarray, "4 2"]:
         """Return the corners of the cell in counterclockwise order [N]."""
-        (x0, y0), (x1, y1) = self.low, self.high
+        x0, y0 = self.low
+        x1, y1 = self.high
         return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float)
 
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
@@ -98,7 +99,8 @@ class Cell(Configuration):
         return float((x**2 + y**2) ** 0.5)
 
     def __str__(self) -> str:
-        (x0, y0), (x1, y1) = self.low, self.high
+        x0, y0 = self.low
+        x1, y1 = self.high
         return f"x {x0:.4g} .. {x1:.4g}, y {y0:.4g} .. {y1:.4g} N"
 
 
@@ -282,7 +284,7 @@ def _outline(corners: Float[np.ndarray, "corners 2"]) -> Forces:
 
 def _in_cells(cells: Sequence[Cell], forces: Forces) -> Bool[np.ndarray, "*forces"]:
     inside = [((forces >= cell.low) & (forces <= cell.high)).all(axis=-1) for cell in cells]
-    return np.logical_or.reduce(inside)
+    return np.asarray(np.logical_or.reduce(inside))
 
 
 def _choose_nearest(points: Float[np.ndarray, "points 2"], forces: Forces) -> Forces:

@@ -185,7 +185,7 @@ class Head(TypedDict):
 
 def head(kind: str) -> Head:
     """Return the first entries of a description."""
-    return {"kind": kind, "format": FOLDERS[kind].number}
+    return {"kind": kind, "format": FOLDERS[kind]}
 
 
 def write_description(folder: Path, kind: str, description: Mapping[str, object]) -> None:
