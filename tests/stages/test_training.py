@@ -80,7 +80,6 @@ def test_a_map_is_a_controller_that_tells_what_the_fin_can_produce(tmp_path: Pat
     box = controller.reachable.bounding_box()
     np.testing.assert_allclose((box.low, box.high), summary["box_n"], atol=1e-3)
     description = json.loads((tmp_path / "gaits" / "controller.json").read_text())
-    assert description["star_shape"] == summary["star_shape"]
     assert description["configuration"]["nodes"] == 6
     assert (tmp_path / "gaits" / "map.svg").is_file()
 
