@@ -13,6 +13,7 @@ from softfin.core.errors import PlantError
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.tank import DomainRandomization, RandomizedTank, Tank
+from softfin.testing import check_plant
 from tests.plants import AnalyticFin, PlainFin
 
 
@@ -130,3 +131,11 @@ def test_plants_that_differ_in_arrays_share_a_compiled_program_and_others_do_not
     for plant in (AnalyticFin(), AnalyticFin(gain=2.0), AnalyticFin(lag_s=0.1)):
         force(plant)
     assert len(traced) == 2
+
+
+def test_the_conformance_kit_asks_for_an_identity():
+    fin = PlainFin()
+    check_plant(fin)
+    del fin.identity
+    with pytest.raises(PlantError, match="attribute `identity`"):
+        check_plant(fin)
