@@ -38,9 +38,9 @@ def check_plant(plant: Any) -> None:
     Checks the members, limits, shapes, types and time, and that readings are finite at the corners
     of the limits. Also checks that the same state and command produce the same readings (purity),
     that the plant has an identity (`softfin.core.plant_identity`), that holding a command equals
-    single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do the same as `advance`,
-    and an optional `true_force` must be finite, work with `jit` and `vmap`, and not change the
-    state.
+    single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do
+    the same as `advance`, and an optional `true_force` must be finite, work with `jit` and `vmap`,
+    and not change the state.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     _raise_first_problem(plant, checks)
