@@ -12,7 +12,7 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.gaits.force_map import MapConfig, check_star, find_force_map
+from softfin.gaits.force_map import MapConfig, find_force_map, force_tolerance, star_warning
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.gaits.simulate import SurveyConfig, survey
 from softfin.gaits.usable import check_usable
@@ -58,28 +58,26 @@ def map_forces(
     plant = find_plant(plant)
     force_map = find_force_map(plant, config, partial(progress, "map"))
     reachable = force_map.reachable
-    tolerance_n = config.tolerance(reachable)
-    (star, warning) = check_star(force_map, tolerance_n)
+    tolerance_n = force_tolerance(reachable)
     keys = {
         **learnt,
-        "star_shape": star,
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(plant=name, plant_identity=identity(plant)),
     }
     limits = Limits(*map(float, plant.limits))
     save_gaits(out, force_map, tolerance_n, limits, keys, overwrite)
     errors = force_map.gaits.force_error()
+    box = reachable.bounding_box()
     return {
         "controller": str(out),
-        "box_n": reachable.bounds(),
+        "box_n": (box.low, box.high),
         "area_n2": reachable.area(),
         "nodes": errors.size,
         "held": int((errors <= tolerance_n).sum()),
         "tolerance_n": tolerance_n,
         "reach_n": reachable.reach_n,
         "beyond": [list(force) for force in PAPER_REFERENCES if not reachable.contains(force)],
-        "star_shape": star,
-        "warning": warning,
+        "warning": star_warning(force_map, tolerance_n),
     }
 
 
@@ -108,7 +106,7 @@ def train(
     metadata = {
         "configuration": config.model_dump(mode="json"),
         "seed": seed,
-        "plant": identity(plant, computed=True),
+        "plant": identity(plant),
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
