@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 
 from softfin import doctor
-from softfin.doctor import examine
 from softfin.installation import EXTRAS
 from softfin.rig.device import CheckResult
 from tests.patience import HANG_S
 
 
 def results() -> dict[str, CheckResult]:
-    return {result.what: result for result in examine()}
+    return {result.what: result for result in doctor.doctor()}
 
 
 @pytest.fixture

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from softfin.core.errors import SoftfinError, one_line
+from softfin.core.errors import RunError, SoftfinError, one_line
 from softfin.core.program_cache import SOFTFIN_VARIABLE, cache_folder
 from softfin.installation import EXTRAS, extra_requirements, how_to_add, installed_version
 from softfin.rig.check import check_disk
-from softfin.rig.device import CheckResult
+from softfin.rig.device import CheckResult, failing
 from softfin.storage.artifact import check_writable
 
 INTERFACES = Path("/sys/class/net")
@@ -33,10 +33,18 @@ NVIDIA = Path("/proc/driver/nvidia/version")
 """File that exists if an NVIDIA GPU driver is loaded."""
 
 
-def examine() -> Iterator[CheckResult]:
-    """Yield each result as soon as it is available, with the user's home folder shortened to ~."""
+def doctor() -> Iterator[CheckResult]:
+    """Check the installation, JAX, the disk and the ports of this computer; nothing moves. Paste
+    the output into bug reports. For a rig, use softfin rig check.
+
+    Yields:
+        Each result as soon as it is available, with the user's home folder shortened to ~.
+
+    Raises:
+        RunError: A check has failed.
+    """
     home = os.environ.get("HOME", "/")
-    for result in _examine():
+    for result in failing(_examine(), RunError):
         yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
 
 

@@ -39,7 +39,7 @@ def test_a_rig_is_checked_without_moving(file, emulated, capsys):
     main(["rig", "check", "--rig", file, "--json"])
     rows = found(capsys)
     # The simple fin of the tests is given limits of the current that its drive never reaches.
-    drive_rows = ["drive", "safety", "own stop", "angle", "zero"]
+    drive_rows = ["drive", "safety", "own stop", "stop in motion", "angle", "zero"]
     sensor_rows = ["force sensor", "force at rest", "force zero"]
     assert list(rows) == ["rig file", "disk", *drive_rows, *sensor_rows, "100 Hz loop", "readings"]
     for what in ("rig file", "force sensor", "force at rest", "drive", "own stop", "angle", "zero"):

@@ -38,14 +38,6 @@ def test_the_time_asleep_is_what_one_clock_counts_more_than_the_other(monkeypatc
     assert REAL.suspended() == pytest.approx(42.0)
 
 
-def test_a_simulated_suspend_passes_no_time():
-    clock = SimulatedClock()
-    before = clock()
-    clock.suspend(3.0)
-    assert clock.suspended() == 3.0
-    assert clock() == before
-
-
 @pytest.mark.parametrize("clock", [REAL, SimulatedClock()], ids=["real", "simulated"])
 def test_both_clocks_make_what_is_waited_for(clock):
     assert isinstance(clock, Clock)

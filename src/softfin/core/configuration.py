@@ -2,11 +2,12 @@
 ``path=value``."""
 
 import difflib
+import re
 import reprlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import pydantic
 import yaml
@@ -69,6 +70,71 @@ class Configuration(pydantic.BaseModel):
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
         """Return a copy with a mapping, such as part of a YAML file, merged into it."""
         return self.build(_merge(self.model_dump(), values), source)
+
+
+class Changes(NamedTuple):
+    """Changes of a configuration that were typed: a file, then single fields, which win."""
+
+    file: Path | None
+    """YAML file."""
+    fields: Mapping[str, str]
+    """Text of each field, by its option, such as ``--excitation.hold-min-s``; parsed as YAML."""
+    options: Sequence[str] = ()
+    """Other options of the command, to suggest one of them for a misspelt name."""
+
+    def apply(self, base: Config) -> Config:
+        """Return `base` with the changes; raises ConfigurationError for an unknown field."""
+        config = base if self.file is None else base.merged(read_yaml(self.file), str(self.file))
+        allowed = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
+        values: JsonObject = {}
+        for option, text in self.fields.items():
+            first = option.partition(".")[0]
+            if first not in allowed:
+                close = difflib.get_close_matches(first, [*self.options, *allowed], n=1)
+                nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
+                raise ConfigurationError(f"{option}: unknown option; {nearest}")
+            try:
+                value = parse_yaml(text)
+            except ValueError as error:
+                raise ConfigurationError(
+                    f"{option} {text[:200]}: not valid YAML ({error}); quote the value, or close "
+                    "its bracket"
+                ) from None
+            for name in reversed(option.removeprefix("--").replace("-", "_").split(".")):
+                value = {name: value}
+            values = _merge(values, value)
+        return config.merged(values, "options")
+
+
+Settings: TypeAlias = Configuration | Changes | Mapping[str, Any] | Path | str | None
+"""What a stage accepts as its configuration: a complete one, or changes of the default."""
+
+
+def configure(base: Config, given: Settings, **options: object) -> Config:
+    """Return the configuration of a stage; options that are not None win over what was given.
+
+    `given` is a configuration, which replaces `base`, or changes of `base`: a mapping, or a YAML
+    file. Raises ConfigurationError if it does not fit.
+    """
+    if isinstance(given, Configuration):
+        if type(given) is not type(base):
+            raise ConfigurationError(
+                f"config: a {type(given).__name__}; use a {type(base).__name__}"
+            )
+        base = given
+    elif isinstance(given, Changes):
+        base = given.apply(base)
+    elif isinstance(given, Mapping):
+        base = base.merged(given, "config")
+    elif given is not None:
+        base = base.merged(read_yaml(Path(given)), str(given))
+    changes = {name: value for name, value in options.items() if value is not None}
+    return base.merged(changes, "options") if changes else base
+
+
+def option_name(field: str) -> str:
+    """Return the option of a field, such as ``rate`` for ``rate_hz``: its unit is not typed."""
+    return re.sub("_(hz|rad_s|ms|s|)$", "", field).replace("_", "-")
 
 
 class Chosen:

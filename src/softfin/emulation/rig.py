@@ -231,8 +231,8 @@ def _rig_values(drive: DriveConfig, bus: JsonObject, sensor: ForceSensorConfig) 
     return {
         "fin": "emulated",
         **({"bus": bus} if drive.NEEDS_BUS else {}),
-        "drive": drive.model_dump(mode="json", exclude_defaults=True),
-        "sensor": sensor.model_dump(mode="json", exclude_defaults=True),
+        "drive": {"type": drive.type, **drive.model_dump(mode="json", exclude_defaults=True)},
+        "sensor": {"type": sensor.type, **sensor.model_dump(mode="json", exclude_defaults=True)},
         "safety": dict(EMULATED_SAFETY),
         "settle_s": 1.0,
     }

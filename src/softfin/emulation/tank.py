@@ -48,21 +48,13 @@ class TankFin:
         """Continue from a saved state; raises ValueError if it is from another tank."""
         with self._lock:
             plain = self._plain()
-            leaves = remembered["state"]
-            if len(leaves) == len(jax.tree.leaves(plain)) - 2:
-                # Earlier versions did not store the sensor's zero and the true force; their sensors
-                # had never been zeroed.
-                plain = (_without_zero(plain[0]), plain[1])
             now, tree = jax.tree.flatten((plain, self._before, self._after))
-            held = (*leaves, remembered["before"], remembered["after"])
+            held = (*remembered["state"], remembered["before"], remembered["after"])
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
                 raise ValueError("state of another tank")
             plain, self._before, self._after = jax.tree.unflatten(tree, then)
             state, self._command = jax.tree.map(jnp.asarray, plain)
-            if state.force is None:
-                nothing = jnp.zeros_like(state.sensor.drift)
-                state = state._replace(sensor=state.sensor._replace(zero=nothing), force=nothing)
             self._state = state._replace(key=jax.random.wrap_key_data(state.key))
             self._time = self._clock()
             self._latest = None
@@ -131,10 +123,6 @@ class TankFin:
     def _step(self) -> np.ndarray:
         self._state, sample = _tick(self.tank, self._state, self._command)
         return np.asarray(sample, float)
-
-
-def _without_zero(state: PyTree) -> Any:
-    return state._replace(sensor=state.sensor._replace(zero=None), force=None)
 
 
 @jax.jit

@@ -48,7 +48,6 @@ class SimulatedTime(Clock):
         self._now = BEGIN_S
         # Whole seconds, so that times derived from the wall clock are rounded alike in every run.
         self._wall = int(time.time())
-        self._suspended_s = 0.0
         self.wall_set_s = 0.0
         """Time by which the wall clock has been set forward [s]; tests may change it."""
         self.shared: dict[Any, Any] = {}
@@ -71,13 +70,8 @@ class SimulatedTime(Clock):
         return self._wall + (self._now - BEGIN_S) + self.wall_set_s
 
     def suspended(self) -> float:
-        """Return the total time for which `suspend` has suspended the computer [s]."""
-        return self._suspended_s
-
-    def suspend(self, seconds: float) -> None:
-        """Suspend the computer for `seconds`; the time does not advance, as on the real monotonic
-        clock."""
-        self._suspended_s += seconds
+        """Return 0: this computer is never suspended."""
+        return 0.0
 
     def sleep(self, seconds: float) -> None:
         """Let the other members run until `seconds` have passed."""

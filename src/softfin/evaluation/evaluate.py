@@ -19,10 +19,11 @@ from softfin.control.references import (
     reachable_set,
     resolve_reference,
 )
+from softfin.control.store import load_controller
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ, Limits
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
 from softfin.evaluation.experiment import (
@@ -231,6 +232,20 @@ def score_experiments(
     return Evaluation(config, score(recording), repetitions, first, data_distance(plant, first))
 
 
+def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
+    """Raise PlantError if a controller's commands exceed the plant's limits."""
+    for i, quantity in ((0, "angle"), (2, "velocity")):
+        ours = asked[i : i + 2]
+        theirs = taken[i : i + 2]
+        tolerance = 1e-3 * (theirs[1] - theirs[0])
+        if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
+            raise PlantError(
+                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
+                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
+                "surrogate of this plant"
+            )
+
+
 def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Combine evaluations into one, in which each becomes a repetition; recordings and plans are
     those of the first."""
@@ -251,6 +266,26 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
         warnings=tuple(warnings),
         moving=tuple(moving),
     )
+
+
+def evaluate_controller(
+    path: Path,
+    target: EvaluationTarget,
+    config: EvaluateConfig,
+    out: Path | None,
+    metadata: Mapping[str, object],
+    overwrite: bool = False,
+) -> EvaluationSummary:
+    """Evaluate the controller in a folder; with `out`, write the evaluation."""
+    controller = load_controller(path)
+    check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
+    evaluation = score_controller(controller, target, config)
+    conditions = {"controller": str(path), "kind": controller.kind, **metadata}
+    if out is None:
+        summary = evaluation.summary()
+        summary["conditions"] |= conditions
+        return summary
+    return write_evaluation(evaluation, out, conditions, overwrite)
 
 
 def write_evaluation(

@@ -10,7 +10,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
-from softfin.rig.prove import check_proof
+from softfin.rig.prove import check_proof, proving_command
 from softfin.rig.rig import Rig
 
 NEEDED_MB = 500
@@ -126,15 +126,16 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
     except RigError as error:
         yield CheckResult("own stop", "note", str(error))
         return
-    if proof is not None:
-        after = (
-            f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
-        )
-        yield CheckResult(
-            "own stop",
-            "well",
-            f"{after}, proved {proof.date}; {rig.drive.own_stop()}",
-        )
+    if proof is None:
+        return
+    after = f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
+    yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; {rig.drive.own_stop()}")
+    moving = proof.moving
+    if moving is None:
+        command = proving_command(rig.config.file, "--prove --moving")
+        yield CheckResult("stop in motion", "note", f"not tried yet; run: {command}")
+        return
+    yield CheckResult("stop in motion", "well", moving.text)
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:

@@ -9,14 +9,15 @@ All times are from the `clock` that the device is given [s]. All calls come from
 time, except that any thread may call `Drive.stop`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
+from softfin.core.errors import SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
@@ -25,6 +26,9 @@ from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
+MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
+"""How the state of a result is printed."""
+
 
 class CheckResult(NamedTuple):
     """One line of the table of `softfin rig check`."""
@@ -32,6 +36,23 @@ class CheckResult(NamedTuple):
     what: str
     state: Literal["well", "note", "wrong"]
     text: str
+
+    def __str__(self) -> str:
+        return f"{MARKS[self.state]:>6}  {self.what:14} {self.text}"
+
+
+def failing(
+    results: Iterable[CheckResult], error: Callable[[str], SoftfinError]
+) -> Iterator[CheckResult]:
+    """Yield each result as soon as it is available, then raise an error with the names of the
+    failed checks."""
+    failed = []
+    for result in results:
+        if result.state == "wrong":
+            failed.append(result.what)
+        yield result
+    if failed:
+        raise error(f"failed: {', '.join(failed)}")
 
 
 class DeviceConfig(Configuration):
@@ -42,14 +63,6 @@ class DeviceConfig(Configuration):
 
     type: str
     """Name of the device's type."""
-
-    @model_serializer(mode="wrap")
-    def _serialize(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = handler(self)
-        values.pop("type", None)
-        # The default type is left out: collections and signed commissioning steps from before there
-        # were types must stay equal to the rig's configuration.
-        return values if self.type == self.DEFAULT_TYPE else {"type": self.type} | values
 
 
 def is_address(field: str) -> bool:

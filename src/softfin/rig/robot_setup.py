@@ -21,8 +21,6 @@ class RobotSetup:
     """Rest time before each log or experiment [s]."""
     configuration: JsonObject = field(default_factory=dict)
     """Complete configuration, for JSON."""
-    warning: str | None = None
-    """Warning if the machine has not been commissioned."""
 
     def check_ready(self) -> None:
         """Raise RigError if the open machine must not move yet, according to its own `check_ready`

@@ -27,20 +27,9 @@ def find_robot(name: str) -> RobotSetup:
     kind, _, file = name.partition(":")
     path = Path(file) if file else None
     if kind == "rig":
-        from softfin.rig.commissioning.form import load_form
-
         rig = load_rig(path)
-        # The configuration of a real rig must stay the same as before emulated rigs were added.
-        values = rig.model_dump(
-            mode="json", exclude={"emulation"} if rig.emulation is None else None
-        )
-        # Emulated rigs do not need commissioning.
-        warning = (
-            None
-            if rig.emulation is not None or rig.file is None
-            else load_form(rig.file).warning(rig)
-        )
-        return RobotSetup(find_rig(rig), rig.safety, rig.fin, rig.settle_s, values, warning)
+        values = rig.model_dump(mode="json")
+        return RobotSetup(find_rig(rig), rig.safety, rig.fin, rig.settle_s, values)
     if kind == "ros2":
         from softfin.rig.ros2.plant import Ros2Machine
 

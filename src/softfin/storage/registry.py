@@ -70,6 +70,23 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     raise PlantError(f"plant {name}: unknown ({what}); use {HELP}")
 
 
+def check_plant(name: "str | Plant") -> None:
+    """Raise a PlantError if there is no simulated plant of this name."""
+    if isinstance(name, str):
+        resolve_plant(name)
+
+
+def check_data(name: "str | Path | Plant") -> None:
+    """Raise a SoftfinError if `name` is neither a dataset's folder nor a plant."""
+    if not isinstance(name, str | Path):
+        return
+    path = Path(name)
+    if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
+        artifacts.find_description(path, "dataset")
+    else:
+        resolve_plant(str(name))
+
+
 def find_plant(name: "str | Plant") -> "Plant":
     """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
     Raises a PlantError that lists the possible names."""

@@ -6,9 +6,15 @@ from typing import Any
 
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
-from softfin.evaluation.headline import error_decimals, over_seeds
+from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
-from softfin.evaluation.results import EvaluationSummary, MeanScores
+from softfin.evaluation.results import (
+    ErrorMapRows,
+    EvaluationSummary,
+    MeanScores,
+    MovingRow,
+    RangeErrors,
+)
 
 TABLE_TWO_TITLES = ("x error", "x std", "y error", "y std")
 
@@ -128,3 +134,54 @@ def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:
         return ""
     x, y = (f"{force:.{decimals}f}" for force in held)
     return f"  unreachable: tracks ({x}, {y}) N instead"
+
+
+def evaluation_tables(summary: EvaluationSummary) -> str:
+    """Return Table II, followed by the parts of the evaluation that were requested."""
+    decimals = error_decimals(summary)
+    lines = [table_two({summary["conditions"]["kind"]: summary})]
+    if "moving" in summary:
+        lines.append(moving_table(summary["moving"], decimals))
+    if "error_map" in summary:
+        lines.append(map_line(summary["error_map"], decimals))
+    if "random" in summary:
+        count = len(summary["random"]["errors_n"])
+        errors = _range_errors(summary["random"], decimals)
+        lines.append(f"{count} random references: {errors}")
+    if summary["warning"] is not None:
+        lines.append(f"warning: {summary['warning']}")
+    return "\n".join(lines)
+
+
+def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
+    """Return one line per moving reference: its errors, and the longest settling time of its steps
+    over all seeds."""
+    cells = [["moving references", "x error", "y error", "settles in"]]
+    for row in rows:
+        errors = [f"{row[axis]['error_n']:.{decimals}f}" for axis in AXES]
+        cells.append([f"  {row['described']}", *errors, settling_time(row) or "-"])
+    return "\n".join(aligned(cells))
+
+
+def map_line(errors: ErrorMapRows, decimals: int) -> str:
+    """Return the error map as one line."""
+    (x0, y0) = errors["low_n"]
+    (x1, y1) = errors["high_n"]
+    gaps = ""
+    if errors["not_covered"]:
+        gaps += f", {errors['not_covered']} not covered"
+    if errors["not_reachable"]:
+        gaps += f", {errors['not_reachable']} unreachable"
+    return (
+        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
+        f"{y0:g} .. {y1:g} N{gaps}: {_range_errors(errors, decimals)}"
+    )
+
+
+def _range_errors(errors: RangeErrors, decimals: int) -> str:
+    """Return the errors at many references as text."""
+    mean, p95, worst = (
+        ", ".join(f"{error:.{decimals}f}" for error in pair)
+        for pair in (errors["mean_n"], errors["p95_n"], errors["worst_n"])
+    )
+    return f"error x, y mean {mean}, 95% within {p95}, worst {worst} N"
