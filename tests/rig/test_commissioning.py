@@ -483,6 +483,7 @@ class TestTerminal:
         assert "input ended" in request.trip.reason
 
 
+@pytest.mark.real_time
 def test_a_host_that_is_to_die_stops_its_fin_when_the_commissioning_is_gone(tmp_path):
     with over_sockets(tmp_path / "rig.yaml") as behind:
         config = narrowed(load_rig(tmp_path / "rig.yaml"), 0.3, 1.0)
@@ -506,6 +507,7 @@ def test_a_host_that_is_to_die_stops_its_fin_when_the_commissioning_is_gone(tmp_
             host.stdout.close()
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_softfin_that_dies_leaves_a_fin_at_rest_in_real_time_too(tmp_path, number):
     with over_sockets(tmp_path / "rig.yaml") as behind:
