@@ -11,22 +11,22 @@ from pathlib import Path
 
 import pytest
 import yaml
+from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
+from softfin.rig.devices.epos2.emulated_drive import DriveTraits
+from softfin.rig.emulation.rig import EmulatedRig, rigs
+from softfin.rig.simulated_clock import SimulatedClock
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.dynamixel import TICKS_PER_TURN
 from softfin.core.errors import ConfigurationError, DeviceError, RigError, SafetyStop
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig, load_rig
-from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
 from softfin.rig.devices.dynamixel.protocol import HOMING_OFFSET, TORQUE_ENABLE
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.protocol import UNPOWERED
-from softfin.rig.emulation.rig import EmulatedRig, rigs
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.prove_moving import LEFT_RAD, SWING_RAD, WAY_RAD, prove_moving
 from softfin.rig.record import load_record
 from softfin.rig.rig import Rig
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.patience import HANG_S, wait_until
 from tests.rig.rigs import SAFETY, WIDE, patient, unshared_loopback
 from tests.rig.simple_fin import SimpleFin

@@ -414,6 +414,7 @@ def test_the_node_and_the_check_need_no_jax():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.real_time
 def test_another_process_asks_for_a_wrench_and_plays_the_fins(tmp_path):
     needs.module("cyclonedds", "the extra ros2 is not installed")
     told = within("robot", tmp_path)

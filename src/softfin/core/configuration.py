@@ -2,7 +2,6 @@
 ``path=value``."""
 
 import difflib
-import math
 import re
 import reprlib
 from collections import Counter
@@ -15,11 +14,6 @@ import yaml
 
 from softfin.core.errors import ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
-
-MAX_YAML_VALUES = 100_000
-"""Maximum number of values in a YAML file with its aliases expanded. A few hundred bytes of nested
-aliases can expand to billions of values, which validation and messages would visit one by one; a
-real file has hundreds."""
 
 # Not typing.Self: the tests' run-time type check decorates functions individually and does not know
 # their class.
@@ -175,39 +169,10 @@ def read_yaml(path: Path) -> JsonObject:
 
 def parse_yaml(text: str) -> Any:
     """Parse a YAML value; raises ValueError with a one-line message if the text cannot be used."""
-    loader = yaml.SafeLoader(text)
     try:
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        if _expanded_size(node, {}) > MAX_YAML_VALUES:
-            raise ValueError(
-                f"more than {MAX_YAML_VALUES:,} values with its aliases expanded; use fewer aliases"
-            )
-        return loader.construct_document(node)
+        return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
-    finally:
-        loader.dispose()
-
-
-def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
-    """Return the number of values in a node with its aliases expanded; infinite if it contains
-    itself.
-
-    Each node is visited once. `sizes` contains the results so far.
-    """
-    if node in sizes:
-        return sizes[node]
-    # Infinite until its parts are counted: expanding a part that refers back here would never end.
-    sizes[node] = math.inf
-    parts: list[yaml.Node] = []
-    if isinstance(node, yaml.SequenceNode):
-        parts = node.value
-    elif isinstance(node, yaml.MappingNode):
-        parts = [part for pair in node.value for part in pair]
-    sizes[node] = 1.0 + sum(_expanded_size(part, sizes) for part in parts)
-    return sizes[node]
 
 
 def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:

@@ -1,7 +1,8 @@
 """The Plant contract: anything that moves on command. The virtual tank, every surrogate and your
 own simulator are Plants.
 
-A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it.
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it. It does not
+change after it was made; `softfin.core.plant_identity` compares plants.
 """
 
 from collections.abc import Callable
