@@ -31,7 +31,7 @@ def test_what_trains_is_no_part_of_what_runs_a_controller():
 
 
 def test_an_extra_that_brings_another_needs_what_that_needs():
-    assert set(extra_requirements("learn")) < set(extra_requirements("onnx"))
+    assert set(extra_requirements("learn")) < set(extra_requirements("sb3"))
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,7 @@ def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> No
         description["scores"][0]["reference_n"]
     )
     assert description["configuration"]["steps"] == run.config.steps
-    assert (tmp_path / "c" / "training" / "learning.svg").is_file()
+    assert (tmp_path / "c" / "training" / "learning.png").is_file()
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
             controller,
         )
         trained = run(capsys, *words)
-        assert (tmp_path / kind / TRAINING_LOG / "learning.svg").is_file()
+        assert (tmp_path / kind / TRAINING_LOG / "learning.png").is_file()
         cells = {row["cell"] for row in trained["scores"]}
         assert len(cells) == 1 if kind == "single" else len(cells) > 1
         scored = run(

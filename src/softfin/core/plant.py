@@ -17,6 +17,10 @@ from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CommandError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
+# A clock may be part of a pytree, in which it has no leaves. It is registered here, because modules
+# for the robot must not import JAX.
+jax.tree_util.register_static(ActionClock)
+
 State: TypeAlias = PyTree
 Output = TypeVar("Output")
 

@@ -24,6 +24,7 @@ from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
@@ -35,7 +36,6 @@ from softfin.evaluation.experiment import (
     min_seconds,
     run_together,
 )
-from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import (
     MovingScores,
     moving_together,
@@ -61,7 +61,6 @@ from softfin.evaluation.scores import (
 )
 from softfin.gaits.reachable import Reachable
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
 
 
@@ -313,19 +312,34 @@ def together(each: Sequence[Evaluation]) -> Evaluation:
     )
 
 
-def evaluate_controller(
-    path: Path,
+def evaluate_controllers(
+    paths: Sequence[Path],
     target: EvaluationTarget,
     config: EvaluateConfig,
     out: Path | None,
     metadata: Mapping[str, object],
+    *,
     overwrite: bool = False,
+    progress: Progress = silent,
 ) -> EvaluationSummary:
-    """Evaluate the controller in a folder; with `out`, write the evaluation."""
-    controller = load_controller(path)
-    check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
-    evaluation = score_controller(controller, target, config)
-    conditions = {"controller": str(path), "kind": controller.kind, **metadata}
+    """Evaluate the controllers in some folders; with `out`, write the evaluation.
+
+    Several controllers, such as those trained from different seeds, are the repetitions of one
+    evaluation; each has the next seed.
+    """
+    evaluations = []
+    for index, path in enumerate(paths):
+        controller = load_controller(path)
+        check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
+        own = config.model_copy(update={"seed": config.seed + index})
+        evaluations.append(score_controller(controller, target, own))
+        progress("evaluate", (index + 1) / len(paths), str(path))
+    evaluation = evaluations[0] if len(evaluations) == 1 else together(evaluations)
+    conditions = {
+        "controller": ", ".join(map(str, paths)),
+        "kind": controller.kind,
+        **metadata,
+    }
     if out is None:
         summary = evaluation.summary()
         summary["conditions"] |= conditions
@@ -339,13 +353,22 @@ def write_evaluation(
     metadata: Mapping[str, object] | None = None,
     overwrite: bool = False,
 ) -> EvaluationSummary:
-    """Write a folder with ``evaluation.json`` and the figures as ``.svg`` and ``.png``; return the
-    content of the JSON file.
+    """Write a folder with ``evaluation.json`` and the figures; return the content of the JSON
+    file.
 
     It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
     ``conditions``, ``configuration`` (for a recorded reference, only ``rows`` and ``seconds``) and
     ``provenance``. docs/files.md explains the keys.
     """
+    # Matplotlib, which takes a second, is only imported to draw.
+    from softfin.evaluation.figures import (
+        error_map_figure,
+        experiments_figure,
+        held_figure,
+        moving_figure,
+    )
+    from softfin.storage.figures import save_figure
+
     summary = evaluation.summary()
     config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
@@ -359,11 +382,13 @@ def write_evaluation(
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "evaluation", summary)
-        save_figure(experiments_figure(evaluation.recording), folder, "experiments")
+        save_figure(experiments_figure(evaluation.recording), folder / "experiments.png")
+        held = held_figure(evaluation.recording, settled_band(evaluation.reachable))
+        save_figure(held, folder / "held.png")
         if evaluation.moving:
-            save_figure(moving_figure(evaluation.moving), folder, "moving")
+            save_figure(moving_figure(evaluation.moving), folder / "moving.png")
         if evaluation.error_map is not None:
-            save_figure(error_map_figure(evaluation.error_map), folder, "error_map")
+            save_figure(error_map_figure(evaluation.error_map), folder / "error_map.png")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

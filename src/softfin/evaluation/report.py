@@ -3,6 +3,7 @@
 The page is self-contained and needs no network. Sections without data are omitted.
 """
 
+import base64
 import importlib.resources
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -13,7 +14,6 @@ import jinja2
 import numpy as np
 import yaml
 from jaxtyping import Float
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
@@ -31,14 +31,13 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
     BLACK,
     BLUE,
-    inline_svg,
     new_figure,
     styled,
     with_minus_signs,
 )
 
-Figures = Mapping[str, Figure]
-"""Figures by caption."""
+Figures = Mapping[str, Path]
+"""Files (.png) by caption."""
 
 PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
@@ -81,7 +80,7 @@ def write_report(
         tables_two=_tables_two(controllers),
         in_surrogate=_tables_two(results.get("in_surrogate") or {}),
         conditions=conditions,
-        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in PARTS},
+        **{f"{part}_figures": _encode(figures.get(part, {})) for part in PARTS},
         configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True)
         if configuration
         else None,
@@ -193,9 +192,10 @@ def _force(reference: Iterable[float | int]) -> str:
     return with_minus_signs(f"({', '.join(f'{value:g}' for value in reference)})")
 
 
-def _svgs(figures: Figures) -> dict[str, Markup]:
-    # Safe to mark as HTML, because Matplotlib escapes all text in an SVG.
-    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
+def _encode(figures: Figures) -> dict[str, str]:
+    return {
+        caption: base64.b64encode(file.read_bytes()).decode() for caption, file in figures.items()
+    }
 
 
 def prediction_figure(

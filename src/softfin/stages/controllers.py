@@ -13,7 +13,16 @@ from softfin.core.choices import PolicyLayout, TrainingRangeName
 from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.core.option_types import DIR, FILE, HIDDEN, PLANT, Config, PathLike, PlantLike
+from softfin.core.option_types import (
+    CONTROLLER,
+    DIR,
+    FILE,
+    HIDDEN,
+    PLANT,
+    Config,
+    PathLike,
+    PlantLike,
+)
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.core.seeds import check_seed
@@ -56,6 +65,7 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
 @lock_output
 def map_forces(
     plant: Annotated[PlantLike, PLANT],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     clock: Annotated[str | None, CLOCK] = None,
@@ -147,6 +157,7 @@ def _describe_map(values: JsonObject) -> str:
 @lock_output
 def train(
     surrogate: Annotated[PlantLike, Parameter(metavar="SURROGATE")],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     controller: PolicyLayout | None = None,
@@ -263,21 +274,22 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
         return []
     return [
         f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
-        "does not reach them; check training/learning.svg in its folder, and train it longer"
+        "does not reach them; check training/learning.png in its folder, and train it longer"
     ]
 
 
 def export(
-    folder: Annotated[PathLike, DIR],
+    controller: Annotated[PathLike, CONTROLLER],
+    /,
     *,
     onnx: Annotated[PathLike, FILE],
     overwrite: bool = False,
 ) -> Result:
-    """Export one step of a controller or of a surrogate to ONNX, with its state as inputs and
-    outputs. Requires softfin[onnx].
+    """Export one step of a controller to ONNX, with its state as inputs and outputs. Requires
+    softfin[onnx].
 
     Args:
-        folder: Controller folder, or surrogate folder: one step of 10 ms, for other simulators.
+        controller: Controller folder.
         onnx: File to write; its metadata describe the inputs.
         overwrite: Replace an existing file.
 
@@ -287,25 +299,14 @@ def export(
     Example:
         >>> softfin.export("single", onnx="single.onnx")
     """
-    from softfin.storage.onnx_file import OPSET
+    from softfin.control.onnx import EPISODE, export_onnx
+    from softfin.control.store import load_controller
 
-    file = Path(onnx)
-    if artifacts.is_kind(Path(folder), "surrogate"):
-        from softfin.surrogate.onnx import CHECK_S, export_surrogate
-
-        exported = export_surrogate(Path(folder), file, overwrite)
-        compared = f"{CHECK_S} s of random commands, onnxruntime's readings"
-        units = "rad, rad/s, N"
-    else:
-        from softfin.control.onnx import EPISODE, export_onnx
-        from softfin.control.store import load_controller
-
-        exported = export_onnx(load_controller(Path(folder)), file, overwrite)
-        compared = f"{EPISODE} actions, onnxruntime's commands"
-        units = "rad, rad/s"
+    exported = export_onnx(load_controller(Path(controller)), Path(onnx), overwrite)
     return Result(
-        {"onnx": str(file), "opset": OPSET, **exported._asdict()},
-        f"{file}: {exported.bytes:,} bytes, ONNX opset {OPSET}; over {compared} differ from "
-        f"softfin's by at most {exported.worst:.1g} ({units})\n"
+        {"onnx": str(onnx), **exported._asdict()},
+        f"{onnx}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; over {EPISODE} actions, "
+        "onnxruntime's commands differ from softfin's by at most "
+        f"{exported.worst:.1g} (rad, rad/s)\n"
         f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
     )

@@ -1,4 +1,4 @@
-"""Check recordings, import them as a dataset, convert or recover them. No JAX."""
+"""Check recordings, import them as a dataset, or recover them. No JAX."""
 
 import textwrap
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from softfin.core.json_object import JsonObject
-from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, PathLike
+from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, RECORDINGS, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.data.importing.importing import ImportConfig
@@ -17,9 +17,10 @@ from softfin.storage.paths import find_recordings
 
 def inspect_logs(
     logs: Annotated[PathLike, LOGS],
+    /,
     *,
     out: Annotated[PathLike | None, DIR] = None,
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
+    recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
@@ -61,9 +62,10 @@ def inspect_logs(
 
 def import_logs(
     logs: Annotated[PathLike, LOGS],
+    /,
     *,
     out: Annotated[PathLike, DIR],
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
+    recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     ignore_errors: bool = False,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
@@ -112,44 +114,9 @@ def import_logs(
     )
 
 
-def convert_recordings(
-    recording: Annotated[PathLike, RECORDING],
-    *,
-    out: Annotated[PathLike, FILE],
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
-    ignore_errors: bool = False,
-    overwrite: bool = False,
-) -> Result:
-    """Convert recordings of any kind to Parquet logs or ROS 2 bags.
-
-    Args:
-        recording: Recording, or folder of recordings.
-        out: File to write; its suffix (.parquet or .mcap) selects the format. Several logs are
-            numbered NAME-1, NAME-2 and so on.
-        recordings: How to read recordings that softfin did not make.
-        ignore_errors: Also convert logs with errors.
-        overwrite: Replace existing files.
-
-    Returns:
-        Files, number of rows, and a summary of the logs.
-
-    Example:
-        >>> softfin.convert_recordings("run.mcap", out="run.parquet")
-    """
-    from softfin.data.convert import convert
-
-    values = convert(
-        Path(recording), Path(out), recordings, ignore_errors=ignore_errors, overwrite=overwrite
-    )
-    return Result(
-        values,
-        f"{columns_read(values['columns'])}{', '.join(values['files'])}: {values['rows']:,} rows; "
-        f"{issue_counts(values['counts'])}",
-    )
-
-
 def recover_recording(
     recording: Annotated[PathLike, RECORDING],
+    /,
     *,
     out: Annotated[PathLike | None, FILE] = None,
     overwrite: bool = False,
@@ -173,15 +140,10 @@ def recover_recording(
     out = recovered_path(recording) if out is None else Path(out)
     recovery = recover(recording, out, overwrite)
     messages = counted(sum(recovery.messages.values()), "message")
-    span = f"{messages} over {recovery.seconds:.1f} s"
-    if recovery.whole:
-        values = {"recovered": None, **recovery.to_dict()}
-        return Result(values, f"{recording}: not damaged, {span}; nothing written")
-    lost = sum(damage.length for damage in recovery.damages)
-    reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
+    reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)
+    state = f"damaged at {reasons[:300]}" if reasons else "not damaged"
     return Result(
-        {"recovered": str(out), **recovery.to_dict()},
-        f"{out}: {span} recovered; {lost:,} bytes could not be read ({reasons[:300]})",
+        {"recovered": str(out), **recovery.to_dict()}, f"{out}: {messages} recovered; {state}"
     )
 
 

@@ -268,7 +268,7 @@ FAULTS = [
     (no_velocity, "command velocity", "map the column"),
     (still_velocity, "constant velocity", "--columns velocity=-"),
     (far_from_rest, "no rest", "softfin rig zero --arm"),
-    (counts, "counts", "--angles dynamixel --angle-zero 2048"),
+    (counts, "counts", "convert the counts in the file"),
 ]
 
 
@@ -329,7 +329,7 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
 
     fix = grave(inspected(change))["degrees"]
     assert fix.startswith(
-        "--angles deg; if these integers are encoder counts instead, use --angles dynamixel"
+        "--angles deg; if these integers are encoder counts instead, convert the counts in the file"
     )
 
 

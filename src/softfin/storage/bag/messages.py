@@ -174,11 +174,7 @@ def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> 
 
 
 class BagWriter:
-    """Writes an MCAP file to a stream, message by message.
-
-    Chunks are not compressed: if a power cut truncates a chunk, every complete message in it can
-    still be read.
-    """
+    """Writes an MCAP file to a stream, message by message."""
 
     def __init__(self, stream: object, channel_topics: Sequence[str] = ()) -> None:
         """`channel_topics` are further topics, with one number in each message."""
