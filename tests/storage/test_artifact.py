@@ -75,63 +75,52 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
         (tmp_path / "thing").mkdir()
         (tmp_path / "thing" / "surrogate.json").write_text("{}")
 
-    with pytest.raises(
-        RunError,
-        match=r"thing: is now in use; the finished result is in .*thing.finished-1; move",
-    ):
+    with pytest.raises(RunError, match=r"thing\.finished-1"):
         artifacts.write_folder(tmp_path / "thing", write)
     assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"
     assert files_in(tmp_path) == ["thing", "thing.finished-1"]
 
 
 def test_a_finished_result_is_kept_where_it_cannot_be_renamed(tmp_path, monkeypatch):
-    def busy(one, other):
-        raise OSError(errno.EBUSY, "Device or resource busy")
-
     artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
     rename = Path.rename
 
     def fail(one, other):
-        return (
-            busy(one, other)
-            if one.suffix == ".partial" and other.name == "thing"
-            else rename(one, other)
-        )
+        if one.suffix == ".partial" and other.name == "thing":
+            raise OSError(errno.EBUSY, "Device or resource busy")
+        return rename(one, other)
 
     monkeypatch.setattr(Path, "rename", fail)
-    with pytest.raises(
-        RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"
-    ):
+    with pytest.raises(RunError, match="Device or resource busy"):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
     assert artifacts.load(tmp_path / "thing", "surrogate")[0] == HEAD | {"version": 1}
     assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == HEAD | {"version": 2}
 
 
-def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
+@pytest.fixture
+def synced(tmp_path, monkeypatch):
+    """What is brought to the disk, and whether `thing` is there by then."""
+
     def note(descriptor):
         place = Path(f"/proc/self/fd/{descriptor}").readlink()
-        synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "thing").exists()))
+        places.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "thing").exists()))
         fsync(descriptor)
 
-    synced = []
+    places = []
     fsync = os.fsync
     monkeypatch.setattr(os, "fsync", note)
+    return places
+
+
+def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, synced):
     artifacts.write_folder(tmp_path / "thing", lambda folder: (folder / "file").write_text("x"))
     beside = f".thing.{os.getpid()}.partial"
     assert synced == [(f"{beside}/file", False), (beside, False), (".", True)]
 
 
-def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
-    def note(descriptor):
-        place = Path(f"/proc/self/fd/{descriptor}").readlink()
-        synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "file").exists()))
-        fsync(descriptor)
-
-    synced = []
-    fsync = os.fsync
-    monkeypatch.setattr(os, "fsync", note)
-    artifacts.write_file(tmp_path / "file", "x")
-    assert synced == [(f".file.{os.getpid()}.partial", False), (".", True)]
+def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, synced):
+    artifacts.write_file(tmp_path / "thing", "x")
+    assert synced == [(f".thing.{os.getpid()}.partial", False), (".", True)]
 
 
 def test_files_that_were_written_are_closed(tmp_path):
@@ -162,25 +151,20 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
         (tmp_path / "file" / "a" / "out", "Not a directory"),
         (tmp_path / ("x" * 300), "name too long"),
     ):
-        with pytest.raises(
-            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*choose another --out"
-        ):
+        with pytest.raises(ArtifactError, match=rf"(out|x): .*{why}.* --out"):
             artifacts.check_vacant(out)
     assert files_in(tmp_path) == ["file"]
 
 
 def test_nothing_of_the_user_is_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
-        artifacts.check_vacant(tmp_path, overwrite=True)
-    for text in ("{}", "[]", "{", '{"kind": "example"}'):
-        (tmp_path / "robot.json").write_text(text)
-        with pytest.raises(
-            ArtifactError, match="was not written by softfin, so it is not replaced"
-        ):
+    for text in (None, "{}", "[]", "{", '{"kind": "example"}'):
+        if text is not None:
+            (tmp_path / "robot.json").write_text(text)
+        with pytest.raises(ArtifactError, match="not written by softfin"):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    with pytest.raises(ArtifactError, match="choose another --out, or use --overwrite"):
+    with pytest.raises(ArtifactError, match="--overwrite"):
         artifacts.check_vacant(tmp_path / "s")
     artifacts.check_vacant(tmp_path / "s", overwrite=True)
     artifacts.check_vacant(tmp_path / "new")

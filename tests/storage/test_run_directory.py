@@ -46,12 +46,8 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
     assert int(state.pair[0]) == 4
     assert metadata == {"updates": 7}
     names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
-    assert names == {
-        "tree.weights['kernel']",
-        "tree.weights['bias']",
-        "tree.pair[0]",
-        "tree.pair[1]",
-    }
+    leaves = ("weights['kernel']", "weights['bias']", "pair[0]", "pair[1]")
+    assert names == {f"tree.{leaf}" for leaf in leaves}
 
 
 @pytest.mark.parametrize(
@@ -71,32 +67,18 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
 
 
 @pytest.mark.parametrize(
-    ("like", "words"),
+    ("pair", "leaf", "kept", "given"),
     [
-        (
-            STATE._replace(pair=(jnp.int32(0),)),
-            r"tree.pair\[1\] is float32 \(3,\) in the checkpoint, missing in this run",
-        ),
-        (
-            STATE._replace(pair=(*STATE.pair, jnp.ones(1))),
-            r"tree.pair\[2\] is missing in the checkpoint, float32 \(1,\) in this run",
-        ),
-        (
-            STATE._replace(pair=(jnp.int32(0), jnp.ones(2))),
-            r"is float32 \(3,\) in the checkpoint, float32 \(2,\) in this run",
-        ),
-        (
-            STATE._replace(pair=(jnp.float32(0), jnp.ones(3))),
-            r"is int32 \(\) in the checkpoint, float32 \(\) in this run",
-        ),
+        ((jnp.int32(0),), 1, "float32 (3,)", "missing"),
+        ((*STATE.pair, jnp.ones(1)), 2, "missing", "float32 (1,)"),
+        ((jnp.int32(0), jnp.ones(2)), 1, "float32 (3,)", "float32 (2,)"),
+        ((jnp.float32(0), jnp.ones(3)), 0, "int32 ()", "float32 ()"),
     ],
 )
-def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
-    with pytest.raises(
-        ArtifactError,
-        match=rf"does not match this training state \(.*{words}\); start again with --over",
-    ):
-        saved.load(like)
+def test_a_leaf_that_does_not_fit_is_named(saved, pair, leaf, kept, given):
+    words = f"tree.pair[{leaf}] is {kept} in the checkpoint, {given} in this run"
+    with pytest.raises(ArtifactError, match=re.escape(words)):
+        saved.load(STATE._replace(pair=pair))
 
 
 def test_with_resume_and_overwrite_the_run_goes_on_if_it_can(tmp_path, saved):
@@ -132,23 +114,18 @@ def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
 ):
     now = checkpoint._software()
     monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
-    words = (
-        rf"written by {re.escape(now)}, but this is softfin 99.1, jax 99.2; resume with "
-        r"that version, or use --overwrite"
-    )
-    for attempt in (
-        lambda: RunDirectory(tmp_path / "out", {"seed": 0}, resume=True),
-        lambda: saved.load(STATE),
-    ):
-        with pytest.raises(ArtifactError, match=words):
-            attempt()
+    words = rf"{re.escape(now)}, .* softfin 99\.1, jax 99\.2; .* --overwrite"
+    with pytest.raises(ArtifactError, match=words):
+        RunDirectory(tmp_path / "out", {"seed": 0}, resume=True)
+    with pytest.raises(ArtifactError, match=words):
+        saved.load(STATE)
 
 
 def test_one_of_before_versions_were_kept_is_refused(tmp_path, saved):
     weights = {"0": np.zeros(3, np.float32)}
     data = safetensors.numpy.save(weights, {"facts": '{"fingerprint": {"seed": 0}}'})
     (saved.folder / CHECKPOINT).write_bytes(data)
-    with pytest.raises(ArtifactError, match="written by an older softfin, but this is softfin"):
+    with pytest.raises(ArtifactError, match="older softfin"):
         saved.load(STATE)
 
 
@@ -159,8 +136,7 @@ def test_a_log_on_a_full_disk_raises_an_error(tmp_path, pattern):
     log.write(1, loss=0.5)
     (file,) = tmp_path.glob(pattern)
     fill(file)
-    message = rf"{file.name}: cannot be written \(No space left on device\); free disk space, then"
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match=rf"{file.name}: .*No space left on device"):
         log.write(2, loss=0.5)
 
 
