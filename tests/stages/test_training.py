@@ -81,7 +81,7 @@ def test_a_map_is_a_controller_that_tells_what_the_fin_can_produce(tmp_path: Pat
     np.testing.assert_allclose((box.low, box.high), summary["box_n"], atol=1e-3)
     description = json.loads((tmp_path / "gaits" / "controller.json").read_text())
     assert description["configuration"]["nodes"] == 6
-    assert (tmp_path / "gaits" / "map.svg").is_file()
+    assert (tmp_path / "gaits" / "map.png").is_file()
 
 
 def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> 
     assert [entry["step"] for entry in read_training_log(training / "log.jsonl")] == [12]
     (events,) = training.glob("events.*")
     assert b"score_x_n" in events.read_bytes()
-    assert (training / "learning.svg").is_file()
+    assert (training / "learning.png").is_file()
     assert not (tmp_path / ".out.unfinished").exists()
 
 

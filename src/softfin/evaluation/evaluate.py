@@ -34,7 +34,6 @@ from softfin.evaluation.experiment import (
     min_seconds,
     run_together,
 )
-from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import MovingScores, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
 from softfin.evaluation.results import EvaluationSummary, RangeErrors, ReferenceScores
@@ -52,7 +51,6 @@ from softfin.evaluation.scores import (
 )
 from softfin.gaits.reachable import Reachable
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
 
 
@@ -294,13 +292,17 @@ def write_evaluation(
     metadata: Mapping[str, object] | None = None,
     overwrite: bool = False,
 ) -> EvaluationSummary:
-    """Write a folder with ``evaluation.json`` and the figures as ``.svg`` and ``.png``; return the
-    content of the JSON file.
+    """Write a folder with ``evaluation.json`` and the figures; return the content of the JSON
+    file.
 
     It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
     ``conditions``, ``configuration`` (for a recorded reference, only ``rows`` and ``seconds``) and
     ``provenance``. docs/files.md explains the keys.
     """
+    # Matplotlib, which takes a second, is only imported to draw.
+    from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
+    from softfin.storage.figures import save_figure
+
     summary = evaluation.summary()
     config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
@@ -314,11 +316,11 @@ def write_evaluation(
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "evaluation", summary)
-        save_figure(experiments_figure(evaluation.recording), folder, "experiments")
+        save_figure(experiments_figure(evaluation.recording), folder / "experiments.png")
         for moving in evaluation.moving:
-            save_figure(moving_figure(moving), folder, moving.plan.name)
+            save_figure(moving_figure(moving), folder / f"{moving.plan.name}.png")
         if evaluation.error_map is not None:
-            save_figure(error_map_figure(evaluation.error_map), folder, "error_map")
+            save_figure(error_map_figure(evaluation.error_map), folder / "error_map.png")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

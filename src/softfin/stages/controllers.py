@@ -270,7 +270,7 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
         return []
     return [
         f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
-        "does not reach them; check training/learning.svg in its folder, and train it longer"
+        "does not reach them; check training/learning.png in its folder, and train it longer"
     ]
 
 
