@@ -42,12 +42,8 @@ def test_the_last_force_takes_as_long_as_the_one_before(times, seconds):
 @pytest.mark.parametrize(
     ("kind", "signal", "words"),
     [
-        (
-            Recorded,
-            {"time_s": [0, 2, 2], "force_n": [[1, 1]] * 3},
-            "time 2 s after 2 s; times must increase",
-        ),
-        (Recorded, {"time_s": [1, 2], "force_n": [[1, 1]] * 2}, "first time is 1 s; start at 0"),
+        (Recorded, {"time_s": [0, 2, 2], "force_n": [[1, 1]] * 3}, "time 2 s after 2 s"),
+        (Recorded, {"time_s": [1, 2], "force_n": [[1, 1]] * 2}, "first time is 1 s"),
         (Recorded, {"time_s": [0, 2], "force_n": [[1, 1]]}, "2 times and 1 forces"),
         (Recorded, {"time_s": [0], "force_n": [[1, float("nan")]]}, "finite number"),
     ],

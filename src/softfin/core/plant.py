@@ -98,9 +98,6 @@ class EnsemblePlant(Plant, Protocol):
     def interval(self) -> ForceInterval:
         """Interval for the mean force, based on the disagreement between the members."""
 
-    def member(self, index: Int[Array, ""]) -> Plant:
-        """Return one member as a separate plant; `index` may be a traced value."""
-
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Like `advance`, but return the readings of every member: fields ``(members, ticks)``."""
 

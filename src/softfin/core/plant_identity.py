@@ -21,7 +21,7 @@ from softfin.core.plant import Plant
 PLAIN = (bool, int, float, complex, str, bytes, type(None))
 """Types of values that their text describes completely."""
 
-FIX = "add an attribute `identity`, a string that contains all parameters"
+STATE_IDENTITY = "add an attribute `identity`, a string that contains all parameters"
 
 
 def identity(plant: Plant) -> str:
@@ -38,7 +38,7 @@ def identity(plant: Plant) -> str:
     # Compiled programs find a plant that is not a pytree by its hash.
     if not is_pytree and (stated is None or type(plant).__hash__ is None):
         raise PlantError(
-            f"plant {name}: not a pytree; make it an equinox.Module, or make it hashable and {FIX}"
+            f"plant {name}: not a pytree; make it an equinox.Module, or make it hashable and {STATE_IDENTITY}"
         )
     if isinstance(stated, str):
         return f"{name} {stated}"
@@ -86,5 +86,5 @@ def _members(value: object, place: str, plant: str) -> Iterable[tuple[object, ob
         return [(name, getattr(value, name)) for name in names if name not in computed]
     raise PlantError(
         f"plant {plant}: {place} is a {type(value).__qualname__}, which cannot be compared; make "
-        f"it an equinox.Module, or {FIX}"
+        f"it an equinox.Module, or {STATE_IDENTITY}"
     )

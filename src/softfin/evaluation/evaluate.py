@@ -312,8 +312,8 @@ def write_evaluation(
     file.
 
     It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
-    ``conditions``, ``configuration`` (for a recorded reference, only ``rows`` and ``seconds``) and
-    ``provenance``. docs/files.md explains the keys.
+    ``conditions``, ``configuration`` (without a recorded reference) and ``provenance``;
+    docs/files.md explains the keys.
     """
     # Matplotlib, which takes a second, is only imported to draw.
     from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
@@ -322,12 +322,7 @@ def write_evaluation(
     summary = evaluation.summary()
     config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
-    recorded = config.recorded and {
-        "rows": len(config.recorded.time_s),
-        "seconds": config.recorded.seconds,
-    }
     summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"})
-    summary["configuration"]["recorded"] = recorded
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:

@@ -208,7 +208,7 @@ def data_distance(
 @eqx.filter_jit
 def _run_ensemble(plant: EnsemblePlant, commands: Command) -> Float[Array, "references ticks"]:
     def tick(state: State, command: Command) -> tuple[State, Array]:
-        state, _ = plant.advance_members(state, command, 1)
+        state, _ = plant.advance(state, command, 1)
         return state, plant.distance(state)
 
     start = plant.init(jax.random.key(0))

@@ -74,7 +74,7 @@ class RunDirectory:
         run = {"software": _software(), "fingerprint": self.fingerprint}
         artifacts.write_file(
             self.folder / CHECKPOINT,
-            artifacts.encode(_name_paths(tree), {"facts": json.dumps(run | metadata)}),
+            artifacts.encode(_name_tree(tree), {"facts": json.dumps(run | metadata)}),
             FIX,
         )
 
@@ -85,7 +85,7 @@ class RunDirectory:
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
-        expected = _name_paths(like)
+        expected = _name_tree(like)
         # By name, because leaves of the same shape could otherwise be exchanged.
         check_same(path, _describe(arrays), _describe(expected), "start again with --overwrite")
         leaves = [jnp.asarray(arrays[name]) for name in expected]
@@ -171,12 +171,10 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _name_paths(tree: PyTree) -> dict[str, object]:
+def _name_tree(tree: PyTree) -> dict[str, object]:
     """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
     of the structure."""
-    return {
-        f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in jax.tree.leaves_with_path(tree)
-    }
+    return name_leaves({"tree": tree})
 
 
 def _describe(leaves: Mapping[str, object]) -> dict[str, str]:
