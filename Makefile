@@ -55,8 +55,9 @@ test-long: setup ## all tests, with more cases of each kind and twenty minutes o
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
 	$(RUN) --extra ray pytest -n auto --dist load -rs tests/stages/test_ray_training.py
 
-mutants: setup ## change the rig's code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1
-	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES))
+mutants: setup ## change the code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1 MODULES=rig
+	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES)) \
+		$(if $(REPEAT),--repeat $(REPEAT))
 
 wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/, and the versions that were tested, for robots
 	$(UV) build --quiet --out-dir dist

@@ -180,25 +180,6 @@ def run_csv(path: Path) -> None:
     _csv(path, own)
 
 
-def servo_csv(path: Path) -> None:
-    """A CSV file of the raw registers of a Dynamixel that was zeroed by softfin."""
-    columns = to_columns(streaming.recorded(ROWS))
-    per_rad = 4096 / (2 * np.pi)
-    per_rad_s = 60 / (2 * np.pi) / 0.229
-    own = {
-        "t [ms]": columns["time_s"] * 1000,
-        "goal_position": np.rint(2048 + per_rad * columns["command_angle_rad"]),
-        "profile_velocity": np.rint(per_rad_s * columns["command_velocity_rad_s"]),
-        "present_position": np.rint(2048 + per_rad * columns["angle_rad"]),
-        "present_velocity": np.rint(per_rad_s * columns["velocity_rad_s"]),
-        "present_current": np.full(ROWS, 100.0),
-        "present_input_voltage": np.full(ROWS, 120.0),
-        "Fx [N]": columns["force_x_n"],
-        "Fy [N]": columns["force_y_n"],
-    }
-    _csv(path, own)
-
-
 def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -270,7 +251,6 @@ MAKERS = MappingProxyType(
         "recordings": recordings,
         "authors": authors,
         "run.csv": run_csv,
-        "servo.csv": servo_csv,
         "run1": bag,
         "run.mcap": mcap,
         "dataset-bags/train-0000.mcap": mcap,

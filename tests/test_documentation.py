@@ -326,11 +326,8 @@ def stop_at_work(monkeypatch):
 
 
 def python_blocks() -> list[Block]:
-    """Those that use softfin; what runs an exported file is run with one in
-    tests/surrogate/test_onnx.py."""
     shown = [block for block in blocks() if block.kind != CELL]
-    found = [block for block in shown if block.kind == "python" or block.text.startswith("import ")]
-    return [block for block in found if "onnxruntime" not in block.text]
+    return [block for block in shown if block.kind == "python" or block.text.startswith("import ")]
 
 
 @pytest.mark.parametrize(

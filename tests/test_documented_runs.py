@@ -83,7 +83,7 @@ ELSEWHERE = {
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
-    "rig commission --arm": "tests/rig/test_commissioning.py",
+    "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from softfin.cli import main
-from softfin.cli.driving import listen_on_terminal
+from softfin.rig.arming import listen_on_terminal
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
@@ -286,7 +286,7 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant,
 
 
 def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):
-    monkeypatch.setattr("softfin.cli.driving.on_terminal", lambda: True)
+    monkeypatch.setattr("softfin.rig.arming.on_terminal", lambda: True)
     monkeypatch.setattr(
         "softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal")
     )

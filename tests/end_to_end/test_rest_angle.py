@@ -58,7 +58,6 @@ def test_a_controller_of_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_it
     assert controller.limits == fin.limits
     config = EvaluateConfig(seconds=3, seeds=1, references=((1, -1),))
     judged = score_controller(controller, fin, config).summary()
-    assert judged["conditions"]["start"] == "at rest"
     assert np.isfinite(judged["mean"]["x"]["error_n"])
 
 

@@ -7,8 +7,8 @@ import os
 import pytest
 
 from softfin.core.errors import SafetyStop
-from softfin.rig import simulated_network
-from softfin.rig.devices.epos2 import emulated_motor
+from softfin.emulation import network as simulated_network
+from softfin.emulation.epos2 import motor as emulated_motor
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import Guard, SafetyConfig

@@ -4,9 +4,9 @@ import math
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.axia80 import sensor_pages
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig
-from softfin.rig.devices.axia80.emulated_sensor import sensor_pages
 from softfin.rig.devices.axia80.rdt import RdtCommand
 from softfin.rig.force_zero import has_restarted
 from softfin.rig.record import ForceZero, load_record, record_file
@@ -48,7 +48,7 @@ def losing(behind, count):
 def test_a_request_that_is_lost_is_repeated_until_the_force_is_zero(bench, count):
     behind, config = bench
     lost = losing(behind, count)
-    results = zero_force(config, 0.2, behind.clock)
+    results = zero_force(Rig(config, behind.clock), 0.2)
     assert len(lost) == count
     assert results["force_before_n"] == pytest.approx([5.0, 1.0, 0.0], abs=1e-3)
     assert results["force_after_n"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
@@ -61,7 +61,7 @@ def test_a_zero_that_is_never_set_is_an_error_and_leaves_no_record(bench):
         DeviceError,
         match=r"force is still \(\+5\.00, \+1\.00, \+0\.00\) N after zeroing 3 times",
     ):
-        zero_force(config, 0.2, behind.clock)
+        zero_force(Rig(config, behind.clock), 0.2)
     assert not record_file(config.file).exists()
 
 
@@ -81,7 +81,7 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
         DeviceError,
         match=r"force varies by \d\.\d\d N, but at most .*; wait until the water is calm",
     ):
-        zero_force(config, 2.0, behind.clock)
+        zero_force(Rig(config, behind.clock), 2.0)
     assert not record_file(config.file).exists()
 
 
@@ -100,15 +100,15 @@ def test_a_large_fin_may_rest_in_rougher_water(bench, peak_n, allowed_n):
         return now
 
     behind.fin.now = waves(0.9 * allowed_n)
-    zero_force(rough, 2.0, behind.clock)
+    zero_force(Rig(rough, behind.clock), 2.0)
     behind.fin.now = waves(1.1 * allowed_n)
     with pytest.raises(DeviceError, match=f"but at most {allowed_n:g} N is allowed"):
-        zero_force(rough, 2.0, behind.clock)
+        zero_force(Rig(rough, behind.clock), 2.0)
 
 
 def test_the_zero_is_recorded_beside_the_rigs_file(bench):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     zero = load_record(config.file).force_zero
     assert zero is not None
     assert zero.sensor_serial == "FT00000"
@@ -127,7 +127,7 @@ def opened(config, clock):
 def test_a_rig_that_is_refused_for_its_zero_leaves_nothing_open(bench):
     behind, config = bench
     behind.clock._now += 10.0
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.sensor.reboot(1.0)
     behind.clock._now += 1.0
     rig = Rig(config, behind.clock)
@@ -141,7 +141,7 @@ def test_a_rig_that_is_refused_for_its_zero_leaves_nothing_open(bench):
 @pytest.mark.parametrize("pause_s", [0.0, 60.0, 3600.0])
 def test_a_zero_that_was_kept_is_no_obstacle(bench, pause_s):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.clock._now += pause_s
     opened(config, behind.clock)
 
@@ -150,7 +150,7 @@ def test_a_zero_that_was_kept_is_no_obstacle(bench, pause_s):
 def test_a_sensor_that_restarted_since_its_zero_was_set_is_refused(bench, before_s, after_s):
     behind, config = bench
     behind.clock._now += before_s
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.sensor.reboot(1.0)
     behind.clock._now += 1.0 + after_s
     with pytest.raises(
@@ -158,20 +158,20 @@ def test_a_sensor_that_restarted_since_its_zero_was_set_is_refused(bench, before
     ) as refused:
         opened(config, behind.clock)
     assert "\n" not in str(refused.value)
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     opened(config, behind.clock)
 
 
 def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     with pytest.raises(
         RigError,
         match=r"has serial number FT31415, but the sensor that was zeroed has FT00000; connect that sensor, or",
     ):
         opened(config, behind.clock)
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     opened(config, behind.clock)
 
 
@@ -189,12 +189,12 @@ def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_liste
     with simulated(sensor="lines") as behind:
         config: RigConfig = config_of(behind)
         config._file = tmp_path / "rig.yaml"
-        zero_force(config, 0.2, behind.clock)
+        zero_force(Rig(config, behind.clock), 0.2)
         changed = RigConfig.build(behind.values(sensor=behind.values()["sensor"] | values))
         changed._file = config.file
         (row,) = [
             row
-            for row in check_rig(changed, tmp_path, 0.2, behind.clock)
+            for row in check_rig(Rig(changed, behind.clock), tmp_path, 0.2)
             if row.what == "force zero"
         ]
         assert row.state == "wrong"
@@ -203,7 +203,7 @@ def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_liste
         with pytest.raises(RigError, match="its settings have changed"):
             opened(changed, behind.clock)
         opened(config, behind.clock)
-        zero_force(changed, 0.2, behind.clock)
+        zero_force(Rig(changed, behind.clock), 0.2)
         opened(changed, behind.clock)
 
 
@@ -211,7 +211,7 @@ def test_a_zero_remains_valid_with_a_new_address_or_a_record_from_an_earlier_ver
     with simulated(sensor="lines") as behind:
         config: RigConfig = config_of(behind)
         config._file = tmp_path / "rig.yaml"
-        zero_force(config, 0.2, behind.clock)
+        zero_force(Rig(config, behind.clock), 0.2)
         record = json.loads(record_file(config.file).read_text())
         assert "udp_port" not in record["force_zero"]["sensor"]
         del record["force_zero"]["sensor"]
@@ -223,14 +223,14 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
     behind, config = bench
 
     def finding():
-        results = check_rig(config, tmp_path, 0.2, behind.clock)
+        results = check_rig(Rig(config, behind.clock), tmp_path, 0.2)
         return next(
             (result.state, result.text) for result in results if result.what == "force zero"
         )
 
     state, text = finding()
     assert (state, text.split(";")[0]) == ("note", "never set by softfin")
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     assert finding()[0] == "well"
     behind.clock._now += 10.0
     behind.sensor.reboot(1.0)
@@ -243,7 +243,7 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
 def test_a_check_never_changes_the_zero(bench, tmp_path):
     behind, config = bench
     before = behind.sensor.remembered()["bias"]
-    list(check_rig(config, tmp_path, 0.2, behind.clock))
+    list(check_rig(Rig(config, behind.clock), tmp_path, 0.2))
     assert behind.sensor.remembered()["bias"] == before
 
 

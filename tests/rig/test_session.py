@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import CommandError, DeviceError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.machine import Target
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session, mean_force
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.patience import wait_until
 from tests.rig.machines import FreeFin, Hours, Notes

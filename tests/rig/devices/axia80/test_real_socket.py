@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from softfin.core.clock import REAL, Clock
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.axia80 import stream
 from softfin.rig.devices.axia80.rdt import RdtCommand, RdtRecord, encode_record
 from softfin.rig.devices.axia80.stream import RdtClient
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.real_time
 HAS_STAMPS = sys.platform.startswith("linux")
 
 
-class SetClock(Clock):
+class SetClock(Computer):
     """The real one, with a date that the test sets."""
 
     ahead_s = 0.0
@@ -32,7 +32,7 @@ class SetClock(Clock):
         return time.time() + self.ahead_s
 
 
-class BusyClock(Clock):
+class BusyClock(Computer):
     """The real one, in a process that is held up now and then while it reads the date."""
 
     interruptions = 0
@@ -47,7 +47,7 @@ class BusyClock(Clock):
 class Pair:
     """A client with a receive buffer of so many bytes, and a socket in the sensor's place."""
 
-    def __init__(self, room_bytes, clock=REAL):
+    def __init__(self, room_bytes, clock=COMPUTER):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(HANG_S)
         self.socket.bind(("127.0.0.1", 0))

@@ -4,9 +4,9 @@ import contextlib
 
 import pytest
 
+from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.rig.devices.axia80 import sensor as axia80
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
 from softfin.rig.devices.axia80.sensor import Axia80
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin

@@ -9,12 +9,12 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.dynamixel import EmulatedServo
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.dynamixel import drive as driver
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.drive import Dynamixel
-from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
 from softfin.rig.machine import Target
 from tests import needs
 from tests.patience import HANG_S, wait_until
@@ -90,7 +90,7 @@ TRIALS = 50 if os.environ.get("SOFTFIN_LONG") == "1" else 2
 @contextmanager
 def real_servo(**changes):
     config = servo_config(**changes)
-    with closing(EmulatedServo(config, BrakingFin(QUICK_STOP_RAD_S2), REAL)) as servo:
+    with closing(EmulatedServo(config, BrakingFin(QUICK_STOP_RAD_S2), COMPUTER)) as servo:
         yield servo
 
 

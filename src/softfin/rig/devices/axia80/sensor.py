@@ -7,21 +7,18 @@ sensor.
 """
 
 from collections.abc import Callable, Iterator
-from functools import partial
 
 import numpy as np
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult, ForceReading, SampleCounter
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.pages import SensorSettings, fetch_page, read_settings
+from softfin.rig.devices.axia80.pages import SensorSettings, read_settings
 from softfin.rig.devices.axia80.rdt import RdtCommand, decode_status
 from softfin.rig.devices.axia80.stream import ForceStream
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Wrench, rotated
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
 """Longest wait for the stream to start [s]; the request is sent four times in this period, because
@@ -45,7 +42,7 @@ MEASURED_S = 0.5
 class Axia80:
     """One sensor; not thread-safe."""
 
-    def __init__(self, config: Axia80Config, clock: Clock = REAL) -> None:
+    def __init__(self, config: Axia80Config, clock: Computer = COMPUTER) -> None:
         self.config = config
         self.settings: SensorSettings | None = None
         """Settings from the sensor's pages; None before the first `open`."""
@@ -103,12 +100,7 @@ class Axia80:
     def _open(self) -> None:
         config = self.config
         clock = self.clock
-        fetch = (
-            partial(fetch_simulated_page, clock)
-            if isinstance(clock, SimulatedClock)
-            else fetch_page
-        )
-        self.settings = settings = read_settings(config.address, config.http_port, fetch)
+        self.settings = settings = read_settings(config.address, config.http_port, clock.fetch_page)
         wanted = {
             "product": (config.product, settings.prodname),
             "serial": (config.serial, settings.calsn),

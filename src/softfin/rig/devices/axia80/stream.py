@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
+from softfin.rig.computer import Computer
 from softfin.rig.device import ForceReading
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import (
@@ -24,8 +24,6 @@ from softfin.rig.devices.axia80.rdt import (
 from softfin.rig.devices.axia80.watch import StreamWatch
 from softfin.rig.filter import AntiAlias
 from softfin.rig.machine import Wrench, rotated, rotation
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.stream_clock import StreamClock
 
 BUFFER_BYTES = 4 * 1024 * 1024
@@ -78,26 +76,17 @@ class RdtClient:
     """Non-blocking UDP client; its socket is connected, so that the kernel delivers only datagrams
     from the sensor's port."""
 
-    def __init__(self, host: str, port: int, clock: Clock) -> None:
+    def __init__(self, host: str, port: int, clock: Computer) -> None:
         self.refused = 0
         self._clock = clock
-        self._date = clock.wall
         self._has_stamps = False
         self._empty_at = clock()
         """Latest time at which the socket is known to have been empty [s]."""
-        self._socket: socket.socket | SimulatedSocket
-        if isinstance(clock, SimulatedClock):
-            simulated = SimulatedSocket(clock, host)
-            simulated.connect((host, port))
-            self._socket = simulated
-            self._date = simulated.date
-            self._date_offset, _ = self._measure_offset()
-            return
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = clock.udp_socket()
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
             self._socket.connect((host, port))
-            self._socket.setblocking(False)
+            self._socket.settimeout(0)
         except (OSError, UnicodeError) as error:
             self._socket.close()
             raise DeviceError(
@@ -179,7 +168,7 @@ class RdtClient:
         """
         for _ in range(OFFSET_TRIES):
             before = self._clock()
-            date = self._date()
+            date = self._clock.wall()
             after = self._clock()
             if after - before < DATE_STEP_S / 10:
                 break
@@ -190,11 +179,8 @@ class RdtClient:
     def _receive(self) -> tuple[bytes, float | None]:
         """Return a datagram and the wall-clock time at which the kernel received it [s]; None on
         platforms without such timestamps."""
-        if isinstance(self._socket, SimulatedSocket):
-            data, stamp, _ = self._socket.receive()
-            return data, stamp
         if not self._has_stamps:
-            return self._socket.recv(4096), None
+            return self._socket.recvfrom(4096)[0], None
         data, ancillary, _, _ = self._socket.recvmsg(4096, 256)
         for level, kind, value in ancillary:
             if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(value) == STAMP.size:
@@ -206,7 +192,7 @@ class RdtClient:
 class ForceStream:
     """Processed stream since the sensor was opened."""
 
-    def __init__(self, config: Axia80Config, scale: list[float], clock: Clock) -> None:
+    def __init__(self, config: Axia80Config, scale: list[float], clock: Computer) -> None:
         """`scale` of the six channels [N/count, N m/count]."""
         self.client = RdtClient(config.address, config.rdt_port, clock)
         self._clock = clock
