@@ -30,19 +30,6 @@ def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, capture_output=True)
 
 
-def test_importing_the_stages_and_all_of_training_computes_nothing():
-    """A first computation would start JAX before the user can say on which device, and takes a
-    second."""
-    code = (
-        "import importlib, pkgutil, softfin.stages.controllers, softfin.learning\n"
-        "for found in pkgutil.walk_packages(softfin.learning.__path__, 'softfin.learning.'):\n"
-        "    if found.name.rpartition('.')[2] != 'ray_head': importlib.import_module(found.name)\n"
-        "from jax._src import xla_bridge\n"
-        "assert not xla_bridge._backends"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-
-
 def test_the_environment_is_known_to_gymnasium():
     """Gymnasium 1 loads no plugins by entry points; the module in front of the ID is what it has
     instead."""
