@@ -164,14 +164,6 @@ class CurrentLimits(NamedTuple):
     continuous_a: float | None
 
 
-class SampleCounter(NamedTuple):
-    """A sensor's counter, which restarts when the sensor loses power and with it its zero."""
-
-    samples: int
-    rate_hz: float
-    """Measured rate [Hz]; 0 until it is known."""
-
-
 class Drive(Protocol):
     """A drive that turns the fin's shaft to target angles."""
 
@@ -291,8 +283,9 @@ class ForceSensor(Protocol):
         """Lock acquired by `open`, so that no second program uses the sensor."""
 
     @property
-    def serial(self) -> str | None:
-        """Serial number; None if the sensor does not report it or has not been opened."""
+    def identity(self) -> dict[str, str | None]:
+        """Properties that the open sensor reports and that affect its zero, by name, e.g.
+        `serial`."""
 
     @property
     def delay_s(self) -> float:
@@ -300,14 +293,8 @@ class ForceSensor(Protocol):
         [s]."""
 
     @property
-    def sample_counter(self) -> SampleCounter | None:
-        """Counter that reveals that an open sensor has lost its zero; None if the sensor does not
-        keep its zero itself."""
-
-    @property
-    def zero_wrench(self) -> Wrench | None:
-        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]; None if
-        the sensor subtracts it itself."""
+    def zero_wrench(self) -> Wrench:
+        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]."""
 
     def open(self) -> None:
         """Connect and wait for readings. On failure, close again; raises RigError if the sensor
@@ -328,7 +315,7 @@ class ForceSensor(Protocol):
         """Set the zero to the current load; call only while the fin is at rest."""
 
     def restore_zero(self, wrench: Wrench) -> None:
-        """Set an open sensor's `zero_wrench` to a recorded one; only called if it is not None."""
+        """Set an open sensor's `zero_wrench` to a recorded one."""
 
     def checks(self) -> Iterator[CheckResult]:
         """Yield lines for `softfin rig check` about the open sensor; the first describes it."""

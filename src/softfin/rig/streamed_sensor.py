@@ -37,12 +37,12 @@ MEASURED_S = 0.5
 KEPT_S = 2.0
 """Time after which unread records are dropped [s]."""
 
+CONSTANT_S = 0.9
+"""Time for which a channel of a sensor with unknown noise may keep its value [s]; less than 1 s, so
+that softfin reports a frozen channel within 1 s."""
+
 MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
-
-CONSTANT_S = 0.9
-"""Time for which a channel may keep its value [s]; less than 1 s, so that softfin reports a frozen
-channel within 1 s."""
 
 
 class StreamedSensorConfig(ForceSensorConfig):
@@ -102,6 +102,10 @@ class RecordSource(Protocol):
     """Noun for a record in messages to the user, e.g. line."""
     remedy: str
     """Fix if no records arrive, e.g. check its cable."""
+    constant_s: float
+    """Time for which a channel may keep its value [s]."""
+    identity: dict[str, str | None]
+    """Properties of the open sensor, as in `softfin.rig.device.ForceSensor`."""
 
     @property
     def name(self) -> str:
@@ -173,7 +177,7 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        longest = CONSTANT_S * self.config.rate_hz
+        longest = self._source.constant_s * self.config.rate_hz
         # Not every sensor measures more than softfin's two forces.
         self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
         self._force: tuple[float, Wrench] | None = None
@@ -181,14 +185,9 @@ class StreamedSensor:
         self._collected: list[Float[np.ndarray, " 6"]] | None = None
 
     @property
-    def serial(self) -> None:
-        """None, because records contain no serial number."""
-        return None
-
-    @property
-    def sample_counter(self) -> None:
-        """None, because softfin keeps the zero."""
-        return None
+    def identity(self) -> dict[str, str | None]:
+        """Properties that the source reports."""
+        return self._source.identity
 
     @property
     def zero_wrench(self) -> Wrench:

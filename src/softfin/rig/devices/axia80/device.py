@@ -4,7 +4,7 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.rig.device import EmulatedDevice, ForceSensorType
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.axia80.sensor import axia80_sensor
 from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.simulated_clock import SimulatedClock
 
@@ -23,4 +23,4 @@ def _emulate(config: Axia80Config, fin: EmulatedFin, clock: Clock) -> EmulatedDe
     return EmulatedAxia80(fin, *ports, frame=SENSOR_MOUNTING, clock=clock)
 
 
-AXIA80 = ForceSensorType(Axia80Config, Axia80, _emulated_config, _emulate)
+AXIA80 = ForceSensorType(Axia80Config, axia80_sensor, _emulated_config, _emulate)

@@ -9,6 +9,7 @@ from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
 from softfin.rig.streamed_sensor import (
+    CONSTANT_S,
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
     StreamedSensor,
@@ -26,10 +27,12 @@ class LineSource:
 
     unit = "line"
     remedy = "check its cable and supply"
+    constant_s = CONSTANT_S
 
     def __init__(self, config: LinesConfig, clock: Clock) -> None:
         self.config = config
         self.clock = clock
+        self.identity: dict[str, str | None] = {}
         self._parser = LineParser(config)
         self._reader: LineReader | None = None
         self._reset()

@@ -26,6 +26,7 @@ from softfin.rig.ros2.connection import (
 )
 from softfin.rig.ros2.plant import open_transport
 from softfin.rig.streamed_sensor import (
+    CONSTANT_S,
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
     StreamedSensor,
@@ -52,10 +53,12 @@ class TopicSource:
 
     unit = "message"
     remedy = "check its driver and the network"
+    constant_s = CONSTANT_S
 
     def __init__(self, config: TopicSensorConfig, clock: Clock) -> None:
         self.config = config
         self.clock = clock
+        self.identity: dict[str, str | None] = {}
         self._transport: Transport | None = None
         self._messages: Subscription[Wrench] | None = None
         self._reset()
