@@ -9,16 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from softfin.core.clock import REAL
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import RigError
 from softfin.rig import lock as locks
 from softfin.rig.config import load_rig
+from softfin.rig.devices.dynamixel.drive import Dynamixel
+from softfin.rig.devices.lines.config import LinesConfig
+from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig.lock import DeviceLock
 from softfin.rig.rig import Rig, zero_force
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 from tests.patience import HANG_S, wait_until
+from tests.rig.devices.dynamixel.bench import servo_config
 from tests.rig.rigs import config_of, patient
 from tests.rig.simple_fin import SimpleFin
 
@@ -148,6 +152,52 @@ def test_the_program_that_holds_a_lock_is_asked_to_exit(folder):
         assert lock.take_over(REAL)
         assert other.wait(HANG_S) == -signal.SIGTERM
     lock.release()
+
+
+def test_a_program_may_take_two_seconds_to_stop_its_fin(folder):
+    holder = DeviceLock("drive 1", "can0", 1)
+    holder.acquire(REAL)
+
+    class Fast(Clock):
+        now = 0.0
+
+        def __call__(self):
+            return self.now
+
+        def sleep(self, seconds):
+            self.now += seconds
+            if self.now > 2.0:
+                holder.release()
+
+    lock = DeviceLock("drive 1", "can0", 1)
+    assert lock.take_over(Fast())
+    lock.release()
+
+
+def test_a_port_has_one_lock_whatever_its_name(folder):
+    port = folder / "ttyUSB0"
+    port.touch()
+    link = folder / "by-id"
+    link.symlink_to(port)
+    for made in (
+        lambda name: Dynamixel(servo_config(port=str(name))),
+        lambda name: lines_sensor(
+            LinesConfig.build(
+                {
+                    "port": str(name),
+                    "columns": ("force_x", "force_y"),
+                    "rate_hz": 100.0,
+                    "filter_delay_s": 0.0,
+                    "frame": "x,y",
+                }
+            )
+        ),
+    ):
+        first, second = (made(name).device_lock for name in (port, link))
+        first.acquire(REAL)
+        with pytest.raises(RigError, match="in use"):
+            second.acquire(REAL)
+        first.release()
 
 
 def test_a_program_that_does_not_end_keeps_its_lock(folder, monkeypatch):

@@ -53,7 +53,8 @@ class RunDirectory:
         to another run and must not be overwritten.
         """
         self.overwrite = overwrite
-        self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
+        # Next to the lock of the output, whatever the name by which it is reached.
+        self.folder = out.resolve().with_name(f".{out.resolve().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
         # With `resume`, a run whose artifact is already finished needs no further work.
         finished = out / TRAINING_LOG / RUN

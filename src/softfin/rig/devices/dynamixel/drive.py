@@ -8,6 +8,7 @@ comes to rest with `quick_stop_rad_s2`, and then switches its torque off. If sof
 watchdog stops the servo, which then holds its position with its torque on.
 """
 
+import os
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -33,7 +34,7 @@ from softfin.rig.drive_safety import (
 )
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
-from softfin.rig.safety import check_target
+from softfin.rig.safety import OVERSHOOT_RAD, check_target
 
 ANSWER_S = 0.006
 """Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
@@ -79,6 +80,9 @@ WATCHDOG_LINE = f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
 _MOTION = struct.Struct("<iii")
 """Profile acceleration, profile velocity and goal position, which are next to each other."""
 
+_PRESENT = struct.Struct("<ii")
+"""Present velocity and position, which are next to each other."""
+
 
 class Dynamixel:
     """A Dynamixel: open, enable, command, stop."""
@@ -90,7 +94,7 @@ class Dynamixel:
         self.units = Units.of(config)
         self.where = f"{config.port}, ID {config.id}"
         # A lock for the port, because the watchdog of a servo does not distinguish between servos.
-        self.device_lock = DeviceLock(self.link.name, "serial", config.port)
+        self.device_lock = DeviceLock(self.link.name, "serial", os.path.realpath(config.port))
         self.serial: int | None = None
         """None, because a Dynamixel has no serial number."""
         self._firmware: int | None = None
@@ -646,6 +650,10 @@ class Dynamixel:
             status = self._known_status()
             if is_new:
                 braking = self._braking(status.position, status.velocity)
+                if not is_fresh:
+                    # The first goal is from an old status, and may turn the fin back.
+                    is_fresh = True
+                    is_braking = self._brake(braking)
             is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
             ticks_at_rest = ticks_at_rest + 1 if is_new and is_still else 0
             if ticks_at_rest >= 2 or (is_new and not status.torque):
@@ -731,8 +739,13 @@ class Dynamixel:
 
     def _brake_now(self) -> bool:
         """Brake a servo that another program has powered; return whether it has this goal."""
-        velocity = self.link.read(protocol.PRESENT_VELOCITY)
-        return self._brake(self._braking(self.link.read(protocol.PRESENT_POSITION), velocity))
+        data = self.link.read_bytes(
+            protocol.PRESENT_VELOCITY.address, _PRESENT.size, SETUP_ANSWER_S, "its motion"
+        )
+        velocity, position = _PRESENT.unpack(data)
+        lowest, highest = position_range(self.config, OVERSHOOT_RAD)
+        # A goal from elsewhere would turn the fin.
+        return lowest <= position <= highest and self._brake(self._braking(position, velocity))
 
     def _is_at_rest(self) -> bool:
         velocity = self.link.read(protocol.PRESENT_VELOCITY)

@@ -1,5 +1,6 @@
 """A force sensor that sends lines of text: its lines as records for a `StreamedSensor`."""
 
+import os
 from collections.abc import Iterator
 
 from softfin.core.clock import REAL, Clock
@@ -57,8 +58,9 @@ class LineSource:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """The port of this computer."""
-        return "lines", self.config.port or self.config.udp_port
+        """The port of this computer, which may have several names."""
+        port = self.config.port
+        return "lines", self.config.udp_port if port is None else os.path.realpath(port)
 
     @property
     def trouble(self) -> str | None:
