@@ -819,8 +819,8 @@ def test_a_stop_from_an_old_status_is_corrected_by_the_next_one():
         while thread.is_alive() or made.fin.now().velocity:
             made.clock.sleep(0.001)
             angle = made.fin.now().angle
-            # It turns back until the next status, a few milliseconds later.
-            assert angle > highest - 0.04
+            # This fin has no mass: it turns back until the next status, and brakes from there.
+            assert angle > highest - 0.13
             highest = max(highest, angle)
         assert made.drive.stop_unconfirmed is None
 
