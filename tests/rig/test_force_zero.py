@@ -133,7 +133,7 @@ def test_a_zero_set_in_the_sensor_that_was_since_lost_is_refused_and_leaves_noth
     behind.sensor.pages[SETTINGS] = page.replace(ending, b"<setbias>0;0;0;0;0;0</setbias>" + ending)
     rig = Rig(config, behind.clock)
     with pytest.raises(
-        RigError, match=r"own_zero was 1;-2;0;0;0;0 and is 0;0;0;0;0;0\); let the fin rest"
+        RigError, match=r"own_zero was '1;-2;0;0;0;0' and is '0;0;0;0;0;0'\); let the fin rest"
     ):
         rig.open()
     with pytest.raises(DeviceError, match="not open"):
@@ -147,7 +147,7 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     with pytest.raises(
         RigError,
-        match=r"settings have changed since its zero was set \(serial was FT00000 and is FT31415",
+        match=r"settings have changed since its zero was set \(serial was 'FT00000' and is 'FT31415'",
     ):
         opened(config, behind.clock)
     zero_force(config, 0.2, behind.clock)
@@ -157,9 +157,12 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"frame": "x,y"}, "frame was y,-x and is x,y"),
+        ({"frame": "x,y"}, "frame was 'y,-x' and is 'x,y'"),
         ({"scale": {"force_x": 2.0, "force_y": 1.0}}, "scale was {} and is {'force_x': 2.0, "),
-        ({"rate_hz": 300.0, "frame": "x,y"}, "frame was y,-x and is x,y, rate_hz was 320.0 and"),
+        (
+            {"rate_hz": 300.0, "frame": "x,y"},
+            "frame was 'y,-x' and is 'x,y', rate_hz was 320.0 and",
+        ),
     ],
 )
 def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_listed(

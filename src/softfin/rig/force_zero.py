@@ -4,7 +4,7 @@ the rig's record, and used whenever the rig is opened."""
 import datetime
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.core.json_object import JsonObject
+from softfin.core.json_object import JsonObject, describe_changes
 from softfin.gaits.reachable import round_size
 from softfin.rig.config import RigConfig
 from softfin.rig.device import ForceSensor, drop_address
@@ -74,16 +74,10 @@ def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
-    now = _settings(sensor)
-    if changes := [
-        f"{name} was {zero.sensor.get(name)} and is {now.get(name)}"
-        for name in sorted(zero.sensor | now)
-        if zero.sensor.get(name) != now.get(name)
-    ]:
+    if changes := describe_changes(zero.sensor, _settings(sensor)):
         raise RigError(
-            f"{sensor.name}: its settings have changed since its zero was set "
-            f"({', '.join(changes)}); let the fin rest in the water and run: softfin rig zero "
-            "--force"
+            f"{sensor.name}: its settings have changed since its zero was set ({changes}); "
+            "let the fin rest in the water and run: softfin rig zero --force"
         )
     sensor.restore_zero(zero.wrench)
     return zero

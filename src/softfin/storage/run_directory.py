@@ -23,7 +23,7 @@ import safetensors
 from jaxtyping import PyTree
 
 from softfin.core.errors import ArtifactError, RunError
-from softfin.core.json_object import JsonObject
+from softfin.core.json_object import JsonObject, describe_changes
 from softfin.storage import artifact as artifacts
 
 Tree = TypeVar("Tree")
@@ -256,13 +256,8 @@ def check_same(
     """Raise ArtifactError unless the run at a path is the current one; nested mappings describe
     both."""
     if before != now:
-        was = name_leaves(before)
-        is_ = name_leaves(now)
-        names = [name for name in sorted(was | is_) if was.get(name) != is_.get(name)]
-        differing = ", ".join(
-            f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3]
-        )
-        raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")
+        changes = describe_changes(name_leaves(before), name_leaves(now))
+        raise ArtifactError(f"{path}: belongs to another run ({changes}); {remedy}")
 
 
 def name_path(path: tuple[Hashable, ...]) -> str:
