@@ -76,9 +76,9 @@ def received(numbers):
 )
 def test_what_is_missing_late_or_doubled_is_counted(numbers, missing, late):
     source, records = received(numbers)
-    assert (source.lost, source.late) == (missing, late)
+    assert (source.counted["lost"], source.counted["late"]) == (missing, late)
     assert sum(record.missing for record in records) == missing
-    assert source.records == len(numbers) == len(records) + late
+    assert source.counted["records"] == len(numbers) == len(records) + late
 
 
 def test_the_first_burst_is_dropped_because_its_timestamps_may_be_too_new():
@@ -88,7 +88,7 @@ def test_the_first_burst_is_dropped_because_its_timestamps_may_be_too_new():
     assert source.take() == []
     source._client.arrivals = arrivals(range(30, 40), source.clock())
     assert len(source.take()) == 10
-    assert (source.lost, source.records) == (0, 10)
+    assert (source.counted["lost"], source.counted["records"]) == (0, 10)
 
 
 def test_after_a_silence_the_stream_is_requested_again_and_begins_at_any_number():
@@ -98,7 +98,7 @@ def test_after_a_silence_the_stream_is_requested_again_and_begins_at_any_number(
     record = RdtRecord(1, 0, 0, (0,) * 6)
     source._client.arrivals = [Arrival(record, source.clock())]
     ((_, missing, _),) = source.take()
-    assert (missing, source.lost, source.late) == (199, 0, 0)
+    assert (missing, source.counted["lost"], source.counted["late"]) == (199, 0, 0)
 
 
 @settings(deadline=None)
@@ -106,7 +106,7 @@ def test_after_a_silence_the_stream_is_requested_again_and_begins_at_any_number(
 def test_what_is_lost_and_what_is_doubled_add_up(start, kept):
     sent = [k for k, there in enumerate(kept) if there or k in (0, len(kept) - 1)]
     source, records = received([(start + k) % 2**32 for k in sent for _ in range(2)])
-    assert (source.lost, source.late) == (len(kept) - len(sent), len(sent))
+    assert (source.counted["lost"], source.counted["late"]) == (len(kept) - len(sent), len(sent))
     assert [record.wrench[0] / 2 for record in records] == list(range(len(sent)))
 
 
@@ -114,7 +114,7 @@ def test_any_numbers_are_counted_and_none_stops_the_count():
     draw = random.Random(6)
     edges = (0, 1, 2, 63, 64, 65, 2**31 - 1, 2**31, 2**32 - 1)
     source, records = received([draw.choice((*edges, draw.randrange(2**32))) for _ in range(CASES)])
-    assert source.records == CASES == len(records) + source.late
+    assert source.counted["records"] == CASES == len(records) + source.counted["late"]
 
 
 def test_records_of_an_earlier_stream_do_not_stop_the_one_that_was_requested_anew():
@@ -124,7 +124,7 @@ def test_records_of_an_earlier_stream_do_not_stop_the_one_that_was_requested_ane
         Arrival(RdtRecord(n, 0, 0, (0,) * 6), source.clock()) for n in (5100, 1, 2, 3)
     ]
     assert len(source.take()) == 4
-    assert source.late == 0
+    assert source.counted["late"] == 0
 
 
 def counted(before, after):
@@ -205,7 +205,7 @@ def test_a_jump_of_the_numbers_does_not_spoil_the_rate(jump, monkeypatch):
         clock.sleep(0.01)
         sensor.keep_up()
     assert sensor.times.rate_hz == pytest.approx(1000, rel=0.02)
-    assert source.lost == (jump if 0 < jump < 2**24 else 0)
+    assert source.counted["lost"] == (jump if 0 < jump < 2**24 else 0)
     assert sensor.read().force_time == pytest.approx(clock() - sensor.delay_s, abs=0.01)
 
 

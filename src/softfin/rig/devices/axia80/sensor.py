@@ -5,7 +5,6 @@ Axia). Tested with the emulator, which a third-party client can also read, but n
 sensor.
 """
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -13,14 +12,13 @@ from jaxtyping import Float
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import RigError
-from softfin.rig.device import CheckResult
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.pages import fetch_page, read_settings
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtCommand, decode_status, wrapped_step
 from softfin.rig.devices.axia80.stream import Arrival, RdtClient
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import fetch_simulated_page
-from softfin.rig.streamed_sensor import FIRST_WAIT_S, StreamedSensor, TimedWrench
+from softfin.rig.streamed_sensor import FIRST_WAIT_S, RecordSource, StreamedSensor, TimedWrench
 
 RETRY_S = 0.1
 """Time without a record after which the stream is requested again [s]: UDP may lose a request, and
@@ -46,7 +44,7 @@ def axia80_sensor(config: Axia80Config, clock: Clock = REAL) -> StreamedSensor:
     return StreamedSensor(config, RdtSource(config, clock), clock)
 
 
-class RdtSource:
+class RdtSource(RecordSource):
     """The stream of one sensor."""
 
     unit = "record"
@@ -54,23 +52,17 @@ class RdtSource:
     constant_s = 0.1
     """The noise of an Axia80 is thousands of counts (not verified), so even two equal consecutive
     records are rare."""
-    trouble = None
-    """A sensor that is silent may send again."""
 
     def __init__(self, config: Axia80Config, clock: Clock) -> None:
+        # The sensor streams only to the latest client: a second program would cut off the first.
+        super().__init__(config.address, config.address, config.rdt_port)
         self.config = config
         self.clock = clock
-        self.identity: dict[str, str | None] = {}
         self._client: RdtClient | None = None
         self._reset()
 
     def _reset(self) -> None:
-        self.records = self.lost = 0
-        self.late = 0
-        """Records out of order or duplicated, which does not happen on a single cable. They still
-        count as lost."""
-        self.discarded = 0
-        """Records that were too old when received, e.g. after a pause."""
+        self.counted.clear()
         self.status = 0
         """Status bits set in any of the latest records."""
         self._product = ""
@@ -84,17 +76,6 @@ class RdtSource:
         """Number of records lost or discarded since the latest one returned."""
         self._active_at = self.clock()
         """Time of the latest request or record [s]."""
-
-    @property
-    def name(self) -> str:
-        """The address."""
-        return self.config.address
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """The address and the port; the sensor streams only to the latest client, so a second
-        program would cut off the first."""
-        return self.config.address, self.config.rdt_port
 
     def open(self) -> None:
         """Read the sensor's pages and request its stream; raises RigError if the sensor does not
@@ -127,7 +108,9 @@ class RdtSource:
 
     def take(self) -> list[TimedWrench]:
         """Return the usable records that have arrived; request the stream again if it ended."""
-        arrivals = self._open_client().drain()
+        client = self._open_client()
+        arrivals = client.drain()
+        self.counted["refused_datagrams"] = client.refused
         now = self.clock()
         if not arrivals:
             if now - self._active_at >= RETRY_S:
@@ -140,33 +123,27 @@ class RdtSource:
             self._is_first_burst = False
             return []
         self.status = 0
+        self.counted["records"] += len(arrivals)
         records = []
         for record, time in arrivals:
-            self.records += 1
             self.status |= record.status
             if not self._advance(Arrival(record, time)):
-                self.late += 1
+                # Out of order or duplicated, which does not happen on a single cable.
+                self.counted["late"] += 1
             elif self._num_busy:
                 # Its values may be outdated.
                 self._missing += 1
             elif now - time > OLD_S:
-                self.discarded += 1
+                self.counted["discarded"] += 1
                 self._missing += 1
             else:
                 records.append(TimedWrench(self._scale * record.counts, self._missing, time))
                 self._missing = 0
         return records
 
-    def watch(self, rate_hz: float) -> None:
-        """Do nothing: the records carry the time of their arrival."""
-
     def describe(self) -> str:
         """Return the product."""
         return self._product
-
-    def checks(self) -> Iterator[CheckResult]:
-        """Yield nothing more."""
-        yield from ()
 
     def explain_silence(self) -> str:
         """Return whether the sensor is busy, or what to check."""
@@ -197,16 +174,6 @@ class RdtSource:
         """Return notes on the sensor's status that do not stop the fin, e.g. that its forces are
         simulated."""
         return tuple(str(bit) for bit in decode_status(self.status) if not bit.is_error)
-
-    def counters(self) -> dict[str, int]:
-        """Return the counters since `open`."""
-        return {
-            "sensor_records": self.records,
-            "sensor_lost": self.lost,
-            "sensor_late": self.late,
-            "sensor_discarded": self.discarded,
-            "sensor_refused_datagrams": 0 if self._client is None else self._client.refused,
-        }
 
     def close(self) -> None:
         """Stop the stream and close the socket; may be called repeatedly and never raises."""
@@ -244,7 +211,7 @@ class RdtSource:
             self._has_restarted |= not -REORDERED_SAMPLES <= samples <= MAX_GAP
         self._newest = arrival
         self._is_new_stream = False
-        self.lost += steps - 1
+        self.counted["lost"] += steps - 1
         self._missing += steps - 1
         self._num_busy = self._num_busy + 1 if record.status >> BUSY_BIT & 1 else 0
         return True
