@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import RigError
+from softfin.core.errors import DeviceError, RigError
 from softfin.rig import lock as locks
 from softfin.rig.config import load_rig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
@@ -252,11 +252,9 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
 
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
-        other_serial = Rig(
-            config_of(behind, sensor=behind.values()["sensor"] | {"serial": "another"})
-        )
-        with pytest.raises(RigError, match="serial must be"):
-            other_serial.open()
+        without_page = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"http_port": 1}))
+        with pytest.raises(DeviceError, match="cannot read the force sensor's page"):
+            without_page.open()
         rig = Rig(config_of(behind))
         rig.open()
         rig.close()

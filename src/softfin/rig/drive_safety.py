@@ -1,13 +1,16 @@
 """Safety code that all drives share: checks before the motor is powered, and the last steps of a
 stop."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Generic, NamedTuple, TypeVar
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.rig.device import Drive, DriveConfig
 from softfin.rig.safety import OVERSHOOT_RAD
+
+Entry = TypeVar("Entry")
 
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
@@ -31,6 +34,29 @@ def check_braking(fastest_rad_s: float, quick_stop_rad_s2: float) -> None:
             f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
             f"{fastest_rad_s / MAX_BRAKE_S:.1f} or more"
         )
+
+
+class Setting(NamedTuple, Generic[Entry]):
+    """An entry of a drive, the values that units and limits rely on, and the fix for others."""
+
+    entry: Entry
+    allowed: Container[int]
+    fix: str
+
+
+def check_settings(
+    settings: Iterable[Setting[Entry]], read: Callable[[Entry], int | None], program: str
+) -> tuple[str, ...]:
+    """Raise RigError if a setting has another value; return one note per entry that the drive does
+    not have. `program` is the one with which the user changes settings."""
+    notes = []
+    for setting in settings:
+        value = read(setting.entry)
+        if value is None:
+            notes.append(f"drive has no {setting.entry}; check this setting in {program}")
+        elif value not in setting.allowed:
+            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix} in {program}")
+    return tuple(notes)
 
 
 def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: float) -> bool:

@@ -25,7 +25,6 @@ from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportCon
 from softfin.rig.ros2.connection import (
     BOOL,
     Publisher,
-    Quality,
     Subscription,
     Transport,
     read_joint,
@@ -266,8 +265,8 @@ class Ros2Machine:
         transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], object]) -> Subscription[Any]:
-            quality: Quality = "best_effort" if config.best_effort else "reliable"
-            return Subscription(transport, topic, kind, read, quality=quality)
+            # This matches every publisher, and a reading that is sent again would be too late.
+            return Subscription(transport, topic, kind, read, quality="best_effort")
 
         def encode(target: Target, setpoint: float) -> bytes:
             if flipper is not None:

@@ -402,16 +402,6 @@ def test_the_zero_is_set_to_what_is_felt_now_and_what_changes_from_then_on_is_me
     assert deviation == pytest.approx((0.01, 0, 0, 0, 0, 0), abs=0.001)
 
 
-@pytest.mark.parametrize(("key", "value"), [("product", "Axia80-M8"), ("serial", "FT31415")])
-def test_another_sensor_than_the_file_says_is_refused(key, value):
-    with (
-        emulated() as sensor,
-        pytest.raises(RigError, match=f"{key} must be '{value}', got '"),
-        opened(sensor, **{key: value}),
-    ):
-        pass
-
-
 def test_a_sensor_at_another_rate_is_refused():
     with (
         emulated(rate_hz=500.0) as sensor,

@@ -26,7 +26,3 @@ class Axia80Config(StreamedSensorConfig):
     filter_delay_s: float = pydantic.Field(default=0.0, ge=0, le=0.5)
     """Delay of the filter set in the sensor [s], by which softfin corrects the time of the force; 0
     if it is turned off."""
-    product: str | None = None
-    """Product name that the sensor must report; None accepts any."""
-    serial: str | None = None
-    """Calibration serial number that the sensor must report; None accepts any."""

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import RigError
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.pages import fetch_page, read_settings
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtCommand, decode_status, wrapped_step
@@ -89,16 +88,6 @@ class RdtSource(RecordSource):
             else fetch_page
         )
         settings = read_settings(config.address, config.http_port, fetch)
-        wanted = {
-            "product": (config.product, settings.prodname),
-            "serial": (config.serial, settings.calsn),
-        }
-        for name, (value, found) in wanted.items():
-            if value not in (None, found):
-                raise RigError(
-                    f"force sensor {self.name}: {name} must be {value!r}, got {found!r}; check "
-                    f"address or {name}"
-                )
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
         # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.

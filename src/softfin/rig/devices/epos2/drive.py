@@ -58,7 +58,7 @@ class Epos2(Exchange):
         close again."""
         self.connect()
         try:
-            self.notes = procedures.check_settings(self.connection, self.config)
+            self.notes = procedures.check_setup(self.connection, self.config)
             self.powered = False
             self.owned = True
             self.connection.send(
