@@ -11,9 +11,9 @@ time, except that any thread may call `Drive.stop`.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
@@ -42,14 +42,6 @@ class DeviceConfig(Configuration):
 
     type: str
     """Name of the device's type."""
-
-    @model_serializer(mode="wrap")
-    def _serialize(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = handler(self)
-        values.pop("type", None)
-        # The default type is left out: collections and signed commissioning steps from before there
-        # were types must stay equal to the rig's configuration.
-        return values if self.type == self.DEFAULT_TYPE else {"type": self.type} | values
 
 
 def is_address(field: str) -> bool:
