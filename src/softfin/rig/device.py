@@ -25,6 +25,9 @@ from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
+MAX_BRAKE_S = 0.5
+"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
+
 
 class CheckResult(NamedTuple):
     """One line of the table of `softfin rig check`."""
@@ -76,6 +79,11 @@ class DriveConfig(DeviceConfig):
     acceleration_rad_s2: float = Field(gt=0)
     """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
     gearbox and fin."""
+    quick_stop_rad_s2: float = Field(gt=0)
+    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
+    withstand."""
+    direction: Literal[1, -1] = 1
+    """-1 if the drive's positive direction is that of negative fin angles."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True
@@ -103,6 +111,13 @@ class DriveConfig(DeviceConfig):
     def _limits_fit(self) -> "DriveConfig":
         if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
+        braking_s = self.fastest_rad_s / self.quick_stop_rad_s2
+        if braking_s > MAX_BRAKE_S:
+            raise ValueError(
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop "
+                f"from fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
+                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
+            )
         return self
 
 

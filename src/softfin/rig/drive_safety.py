@@ -6,16 +6,15 @@ from contextlib import contextmanager, suppress
 from typing import Generic, NamedTuple, TypeVar
 
 from softfin.core.clock import Clock
-from softfin.core.errors import DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.quantities import Limits
 from softfin.rig.device import Drive, DriveConfig
-from softfin.rig.safety import OVERSHOOT_RAD
+from softfin.rig.machine import Target
+from softfin.rig.safety import OVERSHOOT_RAD, check_target
 
 Entry = TypeVar("Entry")
 
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
-
-MAX_BRAKE_S = 0.5
-"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 MIN_ATTEMPTS = 3
 """Minimum number of attempts at each step of a stop; one unanswered request may use up its time."""
@@ -25,15 +24,15 @@ STOP_CONFIRMED_S = 0.3
 within this time."""
 
 
-def check_braking(fastest_rad_s: float, quick_stop_rad_s2: float) -> None:
-    """Raise ValueError if a quick stop from the highest velocity [rad/s] takes too long."""
-    braking_s = fastest_rad_s / quick_stop_rad_s2
-    if braking_s > MAX_BRAKE_S:
-        raise ValueError(
-            f"quick_stop_rad_s2 {quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop from "
-            f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
-            f"{fastest_rad_s / MAX_BRAKE_S:.1f} or more"
-        )
+def accept_target(target: Target, limits: Limits) -> Target:
+    """Return a target within the limits, which the drive enforces exactly; raises CommandError if
+    it is outside by more than rounding errors."""
+    if trip := check_target(target, limits):
+        raise CommandError(trip.reason)
+    low_angle, high_angle, slowest, fastest = limits
+    return Target(
+        min(max(target.angle, low_angle), high_angle), min(max(target.velocity, slowest), fastest)
+    )
 
 
 class Setting(NamedTuple, Generic[Entry]):

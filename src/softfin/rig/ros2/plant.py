@@ -16,8 +16,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import CommandError, DeviceError, RigError, one_line
+from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
+from softfin.rig.drive_safety import accept_target
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
@@ -31,7 +32,6 @@ from softfin.rig.ros2.connection import (
     read_wrench,
 )
 from softfin.rig.ros2.simulated import SimulatedTransport
-from softfin.rig.safety import check_target
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import (
     JOINT_STATE,
@@ -366,9 +366,7 @@ class Ros2Machine:
 
     def command(self, target: Target) -> None:
         """Move to a target, replacing the previous one."""
-        trip = check_target(target, self.limits)
-        if trip is not None:
-            raise CommandError(trip.reason)
+        accept_target(target, self.limits)
         with self._lock:
             if not self._enabled or self._topics is None or self._joint is None:
                 raise DeviceError("the fin is not enabled; enable it before you command it")

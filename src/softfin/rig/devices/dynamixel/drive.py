@@ -16,7 +16,7 @@ from contextlib import suppress
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
-from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.dynamixel import protocol, setup
@@ -26,6 +26,7 @@ from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, St
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.drive_safety import (
     UNCONFIRMED,
+    accept_target,
     check_fin_angle,
     check_no_pause,
     stays_off,
@@ -34,7 +35,7 @@ from softfin.rig.drive_safety import (
 )
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
-from softfin.rig.safety import OVERSHOOT_RAD, check_target
+from softfin.rig.safety import OVERSHOOT_RAD
 
 ANSWER_S = 0.006
 """Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
@@ -199,12 +200,9 @@ class Dynamixel:
     def command(self, target: Target) -> None:
         """Move to the target, replacing the previous one; raises CommandError if it is outside the
         limits and DeviceError if the drive is not enabled."""
-        low_angle, high_angle, slowest, fastest = limits = self.config.limits
-        if trip := check_target(target, limits):
-            raise CommandError(trip.reason)
-        # `check_target` tolerates rounding errors, but the servo enforces its limits exactly.
-        goal = self.units.position(min(max(target.angle, low_angle), high_angle))
-        speed = self.units.speed(min(max(target.velocity, slowest), fastest))
+        angle, velocity = accept_target(target, self.config.limits)
+        goal = self.units.position(angle)
+        speed = self.units.speed(velocity)
         acceleration = self.units.acceleration(self.config.acceleration_rad_s2)
         with self.link.lock:
             if not self.armed:
