@@ -5,6 +5,8 @@ Nothing is recorded, learnt or searched for: what is asked of them is to be ther
 """
 
 import csv
+import fcntl
+import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -110,6 +112,30 @@ def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"softfin.tank.calibration.{module}.BLOCK_S", 0.04)
     monkeypatch.setattr(profile, "GENERATIONS", 2)
     monkeypatch.setattr(profile, "SEGMENTS", 4)
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are laid out where they are looked at; here their files are only written."""
+    monkeypatch.setattr("softfin.storage.figures._render", lambda *_, **__: b"<svg></svg>")
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """What MAKERS make, made when it is first asked for and then shared by all workers."""
+    own = tmp_path_factory.getbasetemp()
+    root = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "made"
+
+    def find(name: str) -> Path:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with (root / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                MAKERS[name](path)
+        return path
+
+    return find
 
 
 def dataset(path: Path) -> None:
@@ -243,8 +269,3 @@ MAKERS = MappingProxyType(
     }
 )
 """By the names that the documents give."""
-
-
-def kind_of(maker: Callable[[Path], None]) -> str:
-    """What it makes, in a word."""
-    return maker.__name__.removeprefix("paper_")

@@ -319,6 +319,7 @@ def stop_at_work(monkeypatch):
     monkeypatch.setattr("softfin.stages.controllers.map_forces", work)
     monkeypatch.setattr("softfin.storage.registry.find_plant", work)
     monkeypatch.setattr("softfin.control.store.load_controller", work)
+    monkeypatch.setattr("softfin.tank.Tank.init", work)
     monkeypatch.setattr(Path, "read_bytes", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)

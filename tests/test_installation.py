@@ -26,7 +26,7 @@ def test_what_trains_is_no_part_of_what_runs_a_controller():
     core = set(extra_requirements(None))
     learn = set(extra_requirements("learn"))
     assert {"numpy", "python-can", "mcap", "pyyaml"} <= core
-    assert {"jax", "pyarrow", "scipy", "matplotlib", "tensorboardx"} <= learn
+    assert {"jax", "pyarrow", "scipy", "matplotlib"} <= learn
     assert not core & learn
 
 

@@ -32,9 +32,6 @@ pytestmark = [
     ),
 ]
 
-OF_TESTS = str(ROOT / ".pytest_cache" / "programs")
-"""Compiled programs of the tests, which are less optimised."""
-
 LARGEST_MB = 125
 """Files of the robot's part without compiled bytecode, to which pip adds some 30 MB: together at
 most 150 (issue 18), but for Python 3.11, whose NumPy is larger."""
@@ -45,11 +42,10 @@ def run(words: Sequence[object], folder: Path, code: int = 0) -> subprocess.Comp
     mine = {
         name: value
         for name, value in os.environ.items()
-        if not name.startswith(("PYTHON", "VIRTUAL_ENV", "JAX_", "XLA_", "UV_PROJECT"))
+        if not name.startswith(
+            ("PYTHON", "VIRTUAL_ENV", "JAX_", "XLA_", "UV_PROJECT", "SOFTFIN_CACHE")
+        )
     }
-    if mine.get("SOFTFIN_CACHE") == OF_TESTS:
-        # As for a user, so that what `make demo` has compiled is not compiled again.
-        del mine["SOFTFIN_CACHE"]
     done = subprocess.run(
         [str(word) for word in words],
         cwd=folder,
@@ -202,10 +198,11 @@ def test_the_doctor_of_the_robots_part_finds_nothing_wrong(robot):
     assert wheel().name in rows["softfin"]["text"]
 
 
-def test_with_what_trains_the_tiny_reproduction_runs(learner):
-    learner.softfin("reproduce", "--preset", "tiny", "--plant", "tank", "--out", "run")
-    report = (learner.work / "run" / "report.html").read_text()
-    assert "<svg" in report
-    assert json.loads((learner.work / "run" / "results.json").read_text())
+def test_with_what_trains_a_controller_is_evaluated_in_the_tank(learner):
+    learner.softfin("example", "example")
+    words = ("--plant", "tank", "--reference=2,0", "--seconds", "3", "--repeats", "1")
+    learner.softfin("evaluate", "example/gaits", *words, "--out", "evaluation")
+    assert json.loads((learner.work / "evaluation" / "evaluation.json").read_text())
+    assert (learner.work / "evaluation" / "experiments.svg").is_file()
     rows = {row["what"]: row for row in json.loads(learner.softfin("doctor", "--json").stdout)}
     assert rows["[learn]"]["state"] == rows["JAX"]["state"] == "well"

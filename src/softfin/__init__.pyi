@@ -22,7 +22,6 @@ from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
 from .stages.logs import recover_recording as recover_recording
-from .stages.ray_training import train_on_ray as train_on_ray
 from .stages.reproduce import demo as demo
 from .stages.reproduce import reproduce as reproduce
 from .stages.surrogates import calibrate as calibrate

@@ -18,6 +18,8 @@ from tests.patience import HANG_S, wait_until
 from tests.rig.devices.epos2.bench import drive_config
 from tests.rig.simple_fin import SimpleFin
 
+pytestmark = pytest.mark.real_time
+
 OTHER_PROCESS = """
 import json, sys, time
 from softfin.core.errors import DeviceError

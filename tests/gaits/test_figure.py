@@ -66,7 +66,8 @@ def test_the_frame_and_the_marks_suit_a_small_fin():
     small = table._replace(low=0.05 * table.low, high=0.05 * table.high)
     lines, axes, _ = drawn(ForceMap(KNOWN.gaits._replace(table=small), reachable))
     assert "the paper's references" not in lines
-    low, high = reachable.bounds()
+    box = reachable.bounding_box()
+    low, high = box.low, box.high
     margin = 0.2 * reachable.size
     assert axes.get_xlim() == pytest.approx((low[0] - margin, high[0] + margin))
 

@@ -181,6 +181,7 @@ def test_a_device_in_simulated_time_is_not_locked(folder):
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.real_time
 def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(folder, monkeypatch):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
         first = Rig(config_of(behind))
@@ -200,6 +201,7 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
         second.close()
 
 
+@pytest.mark.real_time
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
         other_serial = Rig(

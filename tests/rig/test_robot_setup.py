@@ -53,7 +53,6 @@ def test_a_rig_is_found_by_its_file_without_being_opened(tmp_path):
     assert isinstance(robot.machine, Rig)
     assert (robot.fin, robot.machine.name) == ("blue", "rig of blue")
     assert robot.configuration["sensor"]["address"] == "192.168.1.1"
-    assert "emulation" not in robot.configuration
     assert robot.machine.counters()["drive_targets_repeated"] == 0
 
 

@@ -331,6 +331,7 @@ def test_disturbances_are_counted_and_the_fin_goes_on(tmp_path):
         went_on(at, list(GOES_ON.values()), random.Random(1))
 
 
+@pytest.mark.real_time
 def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
     with scene(tmp_path / "unused.mcap", real_time=True) as at:
         pausing(at, tmp_path, random.Random(2))
@@ -374,6 +375,7 @@ def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
         process.communicate()
 
 
+@pytest.mark.real_time
 @pytest.mark.slow
 @pytest.mark.skipif(not LONG, reason="takes twenty minutes; SOFTFIN_LONG=1 runs it")
 def test_soak(tmp_path):

@@ -2,7 +2,6 @@
 ``path=value``."""
 
 import difflib
-import math
 import re
 import reprlib
 from collections import Counter
@@ -15,11 +14,6 @@ import yaml
 
 from softfin.core.errors import ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
-
-MAX_YAML_VALUES = 100_000
-"""Maximum number of values in a YAML file with its aliases expanded. A few hundred bytes of nested
-aliases can expand to billions of values, which validation and messages would visit one by one; a
-real file has hundreds."""
 
 # Not typing.Self: the tests' run-time type check decorates functions individually and does not know
 # their class.
@@ -48,30 +42,7 @@ class Configuration(pydantic.BaseModel):
     def changed(self: Config, changes: Sequence[str]) -> Config:
         """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are
         parsed as YAML."""
-        values = self.model_dump()
-        for change in changes:
-            path, sign, text = change.partition("=")
-            if not sign:
-                example = "=".join(map(str, next(iter(values.items()))))
-                raise ConfigurationError(
-                    f"--set {change}: missing '='; use path=value, e.g. {example}"
-                )
-            try:
-                value = parse_yaml(text)
-            except ValueError as error:
-                raise ConfigurationError(
-                    f"--set {change[:200]}: not valid YAML ({error}); quote the value, or "
-                    "close its bracket"
-                ) from None
-            # Missing groups are created; validation then rejects keys that do not exist.
-            *groups, name = path.strip().split(".")
-            group = values
-            for each in groups:
-                if not isinstance(group.get(each), dict):
-                    group[each] = {}
-                group = group[each]
-            group[name] = value
-        return self.build(values, "--set")
+        return Changes(None, dict(change.split("=", 1) for change in changes)).apply(self)
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
         """Return a copy with a mapping, such as part of a YAML file, merged into it."""
@@ -91,12 +62,12 @@ class Changes(NamedTuple):
     def apply(self, base: Config) -> Config:
         """Return `base` with the changes; raises ConfigurationError for an unknown field."""
         config = base if self.file is None else base.merged(read_yaml(self.file), str(self.file))
-        allowed = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
         values: JsonObject = {}
         for option, text in self.fields.items():
-            first = option.partition(".")[0]
-            if first not in allowed:
-                close = difflib.get_close_matches(first, [*self.options, *allowed], n=1)
+            path = option.removeprefix("--").replace("-", "_").split(".")
+            if path[0] not in type(base).model_fields:
+                names = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
+                close = difflib.get_close_matches(option, [*self.options, *names], n=1)
                 nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
                 raise ConfigurationError(f"{option}: unknown option; {nearest}")
             try:
@@ -106,7 +77,7 @@ class Changes(NamedTuple):
                     f"{option} {text[:200]}: not valid YAML ({error}); quote the value, or close "
                     "its bracket"
                 ) from None
-            for name in reversed(option.removeprefix("--").replace("-", "_").split(".")):
+            for name in reversed(path):
                 value = {name: value}
             values = _merge(values, value)
         return config.merged(values, "options")
@@ -175,39 +146,10 @@ def read_yaml(path: Path) -> JsonObject:
 
 def parse_yaml(text: str) -> Any:
     """Parse a YAML value; raises ValueError with a one-line message if the text cannot be used."""
-    loader = yaml.SafeLoader(text)
     try:
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        if _expanded_size(node, {}) > MAX_YAML_VALUES:
-            raise ValueError(
-                f"more than {MAX_YAML_VALUES:,} values with its aliases expanded; use fewer aliases"
-            )
-        return loader.construct_document(node)
+        return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
-    finally:
-        loader.dispose()
-
-
-def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
-    """Return the number of values in a node with its aliases expanded; infinite if it contains
-    itself.
-
-    Each node is visited once. `sizes` contains the results so far.
-    """
-    if node in sizes:
-        return sizes[node]
-    # Infinite until its parts are counted: expanding a part that refers back here would never end.
-    sizes[node] = math.inf
-    parts: list[yaml.Node] = []
-    if isinstance(node, yaml.SequenceNode):
-        parts = node.value
-    elif isinstance(node, yaml.MappingNode):
-        parts = [part for pair in node.value for part in pair]
-    sizes[node] = 1.0 + sum(_expanded_size(part, sizes) for part in parts)
-    return sizes[node]
 
 
 def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:

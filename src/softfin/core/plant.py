@@ -1,7 +1,8 @@
 """The Plant contract: anything that moves on command. The virtual tank, every surrogate and your
 own simulator are Plants.
 
-A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it.
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it. It does not
+change after it was made; `softfin.core.plant_identity` compares plants.
 """
 
 from collections.abc import Callable
@@ -96,9 +97,6 @@ class EnsemblePlant(Plant, Protocol):
     @property
     def interval(self) -> ForceInterval:
         """Interval for the mean force, based on the disagreement between the members."""
-
-    def member(self, index: Int[Array, ""]) -> Plant:
-        """Return one member as a separate plant; `index` may be a traced value."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Like `advance`, but return the readings of every member: fields ``(members, ticks)``."""

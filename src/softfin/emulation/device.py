@@ -15,8 +15,8 @@ from softfin.emulation.lines import emulated_lines
 from softfin.emulation.topic import emulated_topic
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
-from softfin.rig.device import DriveConfig, ForceSensorConfig
-from softfin.rig.devices.registry import find_drive, find_force_sensor
+from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.devices.registry import find_device
 
 EMULATED_RATE_HZ = 320.0
 """Rate of the emulated `lines` and `ros2` sensors [Hz]."""
@@ -129,7 +129,7 @@ def drive_config(
 ) -> DriveConfig:
     """Return the configuration of an emulated drive with these command limits and this acceleration
     [rad/s2]; raises RigError or ConfigurationError."""
-    kind = find_drive(name)
+    kind = find_device(DriveType, name)
     acceleration = acceleration_rad_s2 or 80.0
     values = find_emulator(DRIVES, name).values | {
         "type": name,
@@ -160,7 +160,7 @@ def drive_config(
 def sensor_config(name: str) -> ForceSensorConfig:
     """Return the configuration of an emulated sensor, mounted as `SENSOR_MOUNTING`; raises
     RigError."""
-    kind = find_force_sensor(name)
+    kind = find_device(ForceSensorType, name)
     values = find_emulator(SENSORS, name).values | {"type": name, "frame": SENSOR_MOUNTING}
     config: ForceSensorConfig = kind.config.build(values, "emulated sensor")
     return config

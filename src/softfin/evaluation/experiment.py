@@ -28,7 +28,6 @@ from softfin.core.plant import (
     hold_action_with_true_force,
     masked_mean,
 )
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 
@@ -142,7 +141,7 @@ def run_together(
         # off below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
-    parties = (controller, jit_argument(plant))
+    parties = (controller, plant)
     recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys, clock)
     # Each set gets its own rows of the results, and the ticks of its own duration.
     first = 0

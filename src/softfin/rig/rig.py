@@ -7,8 +7,8 @@ from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
-from softfin.rig.device import Drive, ForceSensor
-from softfin.rig.devices.registry import find_drive, find_force_sensor
+from softfin.rig.device import Drive, DriveType, ForceSensor, ForceSensorType
+from softfin.rig.devices.registry import find_device
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
@@ -24,10 +24,10 @@ class Rig:
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         # Stop immediately on a drive fault, without waiting for the next tick.
-        self.drive: Drive = find_drive(drive.type).make(
+        self.drive: Drive = find_device(DriveType, drive.type).make(
             drive, config.bus, self.clock, lambda _: self.stop()
         )
-        self.sensor: ForceSensor = find_force_sensor(config.sensor.type).make(
+        self.sensor: ForceSensor = find_device(ForceSensorType, config.sensor.type).make(
             config.sensor, self.clock
         )
 

@@ -97,7 +97,7 @@ def map_forces(
     from softfin.control.store import save_gaits
     from softfin.core.plant_identity import identity
     from softfin.core.quantities import Limits
-    from softfin.gaits.force_map import MapConfig, check_star, find_force_map
+    from softfin.gaits.force_map import MapConfig, find_force_map, force_tolerance, star_warning
     from softfin.gaits.reachable import PAPER_REFERENCES
     from softfin.storage.registry import find_plant
     from softfin.surrogate.channels import learnt_from
@@ -106,11 +106,9 @@ def map_forces(
     simulated = find_plant(plant)
     force_map = find_force_map(simulated, settings, partial(progress, "map"))
     reachable = force_map.reachable
-    tolerance_n = settings.tolerance(reachable)
-    (star, warning) = check_star(force_map, tolerance_n)
+    tolerance_n = force_tolerance(reachable)
     keys = {
         **learnt_from(plant),
-        "star_shape": star,
         "configuration": settings.model_dump(mode="json"),
         "provenance": artifacts.provenance(
             plant=plant_name(plant), plant_identity=identity(simulated)
@@ -119,18 +117,18 @@ def map_forces(
     limits = Limits(*map(float, simulated.limits))
     save_gaits(out, force_map, tolerance_n, limits, keys, overwrite)
     errors = force_map.gaits.force_error()
+    box = reachable.bounding_box()
     values = {
         "controller": str(out),
         "clock": str(settings.clock),
-        "box_n": reachable.bounds(),
+        "box_n": (box.low, box.high),
         "area_n2": reachable.area(),
         "nodes": errors.size,
         "held": int((errors <= tolerance_n).sum()),
         "tolerance_n": tolerance_n,
         "reach_n": reachable.reach_n,
         "beyond": [list(force) for force in PAPER_REFERENCES if not reachable.contains(force)],
-        "star_shape": star,
-        "warning": warning,
+        "warning": star_warning(force_map, tolerance_n),
     }
     return Result(values, _describe_map(values))
 
@@ -222,7 +220,7 @@ def train(
     metadata = {
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
-        "plant": identity(plant, computed=True),
+        "plant": identity(plant),
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:

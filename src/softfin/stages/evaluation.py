@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from softfin.core.choices import MovingReference
 from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.option_types import (
@@ -35,7 +34,7 @@ def evaluate(
     out: Annotated[PathLike | None, DIR] = None,
     reference: Annotated[tuple[Force, ...], FORCE] = (),
     reference_file: Annotated[PathLike | None, FILE] = None,
-    moving: tuple[MovingReference, ...] = (),
+    moving: bool = False,
     seconds: int | None = None,
     repeats: int | None = None,
     seed: int | None = None,
@@ -62,7 +61,7 @@ def evaluate(
             paper's six).
         reference_file: Also evaluate a recorded reference: .csv or .parquet with the columns
             time_s, force_x_n, force_y_n. Each row holds until the next one.
-        moving: Also evaluate a moving reference; may be repeated.
+        moving: Also evaluate four steps of the reference within the controller's range.
         seconds: Length of each experiment [s] (default: 30).
         repeats: Repetitions of each experiment (default: 5).
         seed: Seed for the plant's noise (default: 0).

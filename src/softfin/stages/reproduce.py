@@ -215,7 +215,7 @@ def _claim(out: Path, plant: str, preset: str, seed: int, resume: bool, overwrit
     from softfin.storage.registry import find_plant
     from softfin.storage.run_directory import check_same
 
-    metadata = {"plant": identity(find_plant(plant), computed=True), "seed": seed, "preset": preset}
+    metadata = {"plant": identity(find_plant(plant)), "seed": seed, "preset": preset}
     if resume and artifacts.is_kind(out, REPRODUCTION_KIND):
         try:
             before = artifacts.load_description(out, REPRODUCTION_KIND)
@@ -403,23 +403,25 @@ def _collect_results(
 
 def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]]:
     """Return the figures of the stages, by section of the report and by caption."""
-    from softfin.evaluation.headline import headline
-
+    prediction = {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
+    learning = {}
+    experiment = {}
+    moving = {}
     shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
-    sections: dict[str, dict[str, Path]] = {
-        "surrogate": {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
-    }
-    best = headline(results)
-    if best is not None:
-        sections["headline"] = {best.caption: shown / best.controller / "held.png"}
+    seeds = range(results["seed"], results["seed"] + results["seeds"])
     for kind in results["controllers"]:
-        folder = _folders(out, kind, range(results["seed"], results["seed"] + results["seeds"]))[0]
         caption = f"{kind} controller, seed {results['seed']}"
-        sections.setdefault("learning", {})[caption] = folder / "training/learning.png"
-        sections.setdefault("experiment", {})[caption] = (
-            out / "evaluation" / kind / "experiments.png"
-        )
-        sections.setdefault("moving", {})[caption] = shown / kind / "moving.png"
+        learning[caption] = _folders(out, kind, seeds)[0] / "training/learning.png"
+        experiment[caption] = out / "evaluation" / kind / "experiments.png"
+        for file in sorted((shown / kind).glob("*.png")):
+            if file.stem != "experiments":
+                moving[f"{caption}, {file.stem}"] = file
+    sections = {
+        "surrogate": prediction,
+        "learning": learning,
+        "experiment": experiment,
+        "moving": moving,
+    }
     return {
         section: {caption: file for caption, file in figures.items() if file.exists()}
         for section, figures in sections.items()

@@ -6,14 +6,14 @@ from typing import Any
 
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
-from softfin.evaluation.headline import error_decimals, over_seeds
+from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
 from softfin.evaluation.results import (
     ErrorMapRows,
     EvaluationSummary,
     MeanScores,
     MovingRow,
-    RandomErrors,
+    RangeErrors,
 )
 
 TABLE_TWO_TITLES = ("x error", "x std", "y error", "y std")
@@ -145,7 +145,9 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
     if "error_map" in summary:
         lines.append(map_line(summary["error_map"], decimals))
     if "random" in summary:
-        lines.append(random_line(summary["random"], decimals))
+        count = len(summary["random"]["errors_n"])
+        errors = _range_errors(summary["random"], decimals)
+        lines.append(f"{count} random references: {errors}")
     if summary["warning"] is not None:
         lines.append(f"warning: {summary['warning']}")
     return "\n".join(lines)
@@ -156,18 +158,8 @@ def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
     over all seeds."""
     cells = [["moving references", "x error", "y error", "settles in"]]
     for row in rows:
-        # None: the signal has no steps.
-        settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[
-            row["settles"]
-        ]
-        cells.append(
-            [
-                f"  {row['described']}",
-                f"{row['x']['error_n']:.{decimals}f}",
-                f"{row['y']['error_n']:.{decimals}f}",
-                settling,
-            ]
-        )
+        errors = [f"{row[axis]['error_n']:.{decimals}f}" for axis in AXES]
+        cells.append([f"  {row['described']}", *errors, settling_time(row) or "-"])
     return "\n".join(aligned(cells))
 
 
@@ -180,26 +172,16 @@ def map_line(errors: ErrorMapRows, decimals: int) -> str:
         gaps += f", {errors['not_covered']} not covered"
     if errors["not_reachable"]:
         gaps += f", {errors['not_reachable']} unreachable"
-    mean = _pair(errors["mean_x_n"], errors["mean_y_n"], decimals)
-    worst = _pair(errors["worst_x_n"], errors["worst_y_n"], decimals)
     return (
         f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
-        f"{y0:g} .. {y1:g} N{gaps}: mean {mean}, worst {worst} N"
+        f"{y0:g} .. {y1:g} N{gaps}: {_range_errors(errors, decimals)}"
     )
 
 
-def random_line(errors: RandomErrors, decimals: int) -> str:
-    """Return the errors over random references as one line."""
-    x = errors["x"]
-    y = errors["y"]
-    mean = _pair(x["mean_n"], y["mean_n"], decimals)
-    p95 = _pair(x["p95_n"], y["p95_n"], decimals)
-    worst = _pair(x["worst_n"], y["worst_n"], decimals)
-    return (
-        f"{errors['count']} random references: error x, y mean {mean}, 95% within {p95}, "
-        f"worst {worst} N"
+def _range_errors(errors: RangeErrors, decimals: int) -> str:
+    """Return the errors at many references as text."""
+    mean, p95, worst = (
+        ", ".join(f"{error:.{decimals}f}" for error in pair)
+        for pair in (errors["mean_n"], errors["p95_n"], errors["worst_n"])
     )
-
-
-def _pair(x: float, y: float, decimals: int) -> str:
-    return f"{x:.{decimals}f}, {y:.{decimals}f}"
+    return f"error x, y mean {mean}, 95% within {p95}, worst {worst} N"

@@ -33,11 +33,10 @@ def check_plant(plant: Any) -> None:
 
     Checks the members, limits, shapes, types and time, and that readings are finite at the corners
     of the limits. Also checks that the same state and command produce the same readings (purity),
-    that the plant can be distinguished from plants with other parameters
-    (`softfin.core.plant_identity.identity`), that holding a command equals single ticks, and that
-    `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do the same as `advance`,
-    and an optional `true_force` must be finite, work with `jit` and `vmap`, and not change the
-    state.
+    that the plant has an identity (`softfin.core.plant_identity`), that holding a command equals
+    single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do
+    the same as `advance`, and an optional `true_force` must be finite, work with `jit` and `vmap`,
+    and not change the state.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     _raise_first_problem(plant, checks)
@@ -159,10 +158,8 @@ def _batches(plant: Plant) -> Iterator[Problem]:
 
 
 def _strokes(plant: Plant) -> Iterator[Problem]:
-    # The identity of a user's plant is its traced program, so both traces must be equal.
-    if identity(plant) != identity(plant):
-        asked = "init and advance must not draw random numbers or count calls outside the state"
-        yield "each trace produces a different program", asked
+    # Raises PlantError for a plant that cannot be compared with others.
+    identity(plant)
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
     state = plant.init(jax.random.key(0))
     for command in _corners(plant):
@@ -363,10 +360,6 @@ def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
     _, mean = surrogate.advance(state, command, STROKE_TICKS)
     if not np.allclose(mean.force, members.force.mean(axis=0), rtol=1e-3, atol=1e-4):
         yield "advance differs from the mean of advance_members", "they must be equal"
-    first = surrogate.member(jnp.int32(0))
-    _, alone = first.advance(first.init(jax.random.key(0)), command, STROKE_TICKS)
-    if not np.allclose(alone.force, members.force[0], rtol=1e-3, atol=1e-4):
-        yield "member(0) differs from the first row of advance_members", "they must be equal"
     half_width = np.asarray(surrogate.interval.half_width(np.asarray(members.force.mean(axis=1))))
     if half_width.shape != (2,) or not (half_width > 0).all():
         yield f"the half width of the interval is {half_width}", "it must be two positive numbers"

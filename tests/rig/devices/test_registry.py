@@ -41,7 +41,7 @@ def test_a_file_without_types_means_the_epos2_and_the_axia80(values):
         (
             "sensor",
             "axia8",
-            r"sensor: type 'axia8': unknown force sensor; use one of axia80, lines",
+            r"sensor: type 'axia8': unknown force sensor; use one of axia80, dynamixel, epos2, lines",
         ),
         ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use another type"),
     ],
@@ -87,4 +87,4 @@ def test_another_package_adds_a_sensor_through_its_entry_point(values, monkeypat
 def test_a_package_that_cannot_be_imported_is_named(monkeypatch):
     offer(monkeypatch, "no_such_package:DEVICE")
     with pytest.raises(RigError, match=r"type 'other': no_such_package:DEVICE cannot be imported"):
-        registry.find_force_sensor("other")
+        registry.find_device(ForceSensorType, "other")

@@ -189,7 +189,7 @@ class BagWriter:
         }
         # MCAP's profile for ROS 2 requires this entry; if empty, ROS 2's default quality of service
         # applies.
-        quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
+        quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"])}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
             for topic, kind in self._types.items()

@@ -11,6 +11,8 @@ from softfin.rig.devices.axia80.sensor import Axia80
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):

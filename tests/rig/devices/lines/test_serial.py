@@ -13,6 +13,8 @@ from tests import needs
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch):

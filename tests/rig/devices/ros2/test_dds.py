@@ -22,6 +22,8 @@ from softfin.rig.ros2.connection import BOOL  # noqa: E402
 from softfin.rig.ros2.plant import open_transport  # noqa: E402
 from softfin.storage.bag.messages import serialized  # noqa: E402
 
+pytestmark = pytest.mark.real_time
+
 CONNECTION = TransportConfig(transport="dds", domain=173)
 
 LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
