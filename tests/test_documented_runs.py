@@ -39,10 +39,10 @@ TINY = {
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
     "train": "--config train.yaml",
     "train --range": "--range reach",
-    "train --set": "--set ppo.num_envs=2 --set ppo.num_epochs=1 --steps 6",
+    "train --set": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
-    "evaluate --error-map": "--set error_map=2",
+    "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -53,8 +53,8 @@ ones count."""
 
 IN_THE_README = {
     # Fitted well enough that the forces exceed their noise, and mapped wherever they lie.
-    "fit": "--set force_updates=200",
-    "map": "--config map.yaml --set box=null --set spacing_n=null --set nodes=4",
+    "fit": "--force-updates 200",
+    "map": "--config map.yaml --box null --spacing-n null --nodes 4",
     "evaluate": "--plant tank.yaml",
     "rig --arm": "--yes",
     "run --arm": "--yes --seconds 1",

@@ -288,7 +288,7 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant,
 def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):
     monkeypatch.setattr("softfin.rig.arming.on_terminal", lambda: True)
     monkeypatch.setattr(
-        "softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal")
+        "softfin.rig.arming.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal")
     )
     master, slave = pty.openpty()
     with os.fdopen(master), os.fdopen(slave) as terminal:

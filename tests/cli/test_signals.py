@@ -18,7 +18,6 @@ import signal
 import sys
 
 from softfin import cli
-from softfin.cli.common import Armed, Common
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from tests.rig.machines import FreeFin, Hours
@@ -42,21 +41,20 @@ def interrupted(call):
     return instead
 
 
-class Run(Armed, Common):
-    def __call__(self):
-        machine = FreeFin(Hours())
-        try:
-            with Session(machine, Guard(SafetyConfig(), machine.limits)) as session:
-                session.stop_on_signals()
-                session.activate()
-                signal.raise_signal(signal.SIGINT)
-                session.tick()
-        finally:
-            if PLACE == "results":
-                interrupted(int)()
+def run(*, arm: bool = False) -> None:
+    machine = FreeFin(Hours())
+    try:
+        with Session(machine, Guard(SafetyConfig(), machine.limits)) as session:
+            session.stop_on_signals()
+            session.activate()
+            signal.raise_signal(signal.SIGINT)
+            session.tick()
+    finally:
+        if PLACE == "results":
+            interrupted(int)()
 
 
-cli.import_arguments = lambda name: Run
+cli.import_function = lambda name: run
 if PLACE == "message":
     cli._describe_error = interrupted(cli._describe_error)
 if PLACE == "end":

@@ -5,7 +5,7 @@ import io
 
 import pytest
 
-from softfin.cli.common import Armed
+from softfin.rig.arming import Arming
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
 from softfin.emulation.clock import SimulatedClock
 from softfin.rig.arming import typed
@@ -116,15 +116,15 @@ def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
     machine = FreeFin(SimulatedClock())
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(ConfigurationError, match="in a script, add --yes"):
-        Armed(arm=True).confirm(RobotSetup(machine, CALM))
-    Armed(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
+        Arming(arm=True).confirm(RobotSetup(machine, CALM))
+    Arming(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
 
 
 def test_notes_are_told_before_anything_moves(capsys):
     machine = FreeFin(SimulatedClock())
     machine.notes = ("forces are simulated",)
     with pytest.raises(ConfigurationError, match="nothing moves without --arm"):
-        Armed().confirm(RobotSetup(machine, CALM))
+        Arming().confirm(RobotSetup(machine, CALM))
     assert capsys.readouterr().err == "note: forces are simulated\n"
 
 

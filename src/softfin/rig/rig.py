@@ -50,7 +50,7 @@ class Rig:
     def open(self) -> None:
         """Connect to both devices and configure the drive; the motor stays off.
 
-        Raises RigError if the sensor has lost the zero that softfin set.
+        Raises RigError if the force zero is of another sensor or of other settings.
         """
         # The drive comes first: if another program is using the rig, this call fails before it
         # takes over that program's sensor stream.

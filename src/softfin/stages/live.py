@@ -26,7 +26,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Readi
 from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held_command, interpolated
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate_controller
+from softfin.evaluation.evaluate import EvaluateConfig, evaluate_controllers
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
@@ -186,7 +186,9 @@ def evaluate_live(
         with session.recording(bag):
             target = LiveFin(session, acting, robot, progress)
             metadata = {"plant": str(target), "randomization": None}
-            return evaluate_controller(controller, target, config, out, metadata, overwrite)
+            return evaluate_controllers(
+                [controller], target, config, out, metadata, overwrite=overwrite
+            )
 
 
 class LiveFin:
@@ -358,7 +360,7 @@ def _sensor_state(machine: Machine) -> JsonObject:
         return {"sensor_serial": None, "force_zero": None, "force_delay_s": None}
     force_zero = load_record(machine.config.file).force_zero
     return {
-        "sensor_serial": machine.sensor.serial,
+        "sensor_serial": machine.sensor.identity.get("serial"),
         "force_zero": None if force_zero is None else force_zero.model_dump(mode="json"),
         "force_delay_s": round(machine.sensor.delay_s, 5),
     }
