@@ -19,8 +19,8 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 from matplotlib.ticker import LogLocator
-
 from softfin.cli.options import HelpRequested, Option, format_help, parse
+
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import named_key

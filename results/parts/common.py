@@ -153,13 +153,11 @@ POLICIES = {
     "single": ("--controller single", 1.5),
     "grid": ("--controller grid", 2),
     "single-ppo": (
-        "--controller single --range paper --steps 30000 --ppo.num-envs 32 "
-        "--ppo.num-epochs 8",
+        "--controller single --range paper --steps 30000 --ppo.num-envs 32 --ppo.num-epochs 8",
         0.7,
     ),
     "grid-ppo": (
-        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 "
-        "--ppo.num-epochs 10",
+        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 --ppo.num-epochs 10",
         1,
     ),
 }
