@@ -6,11 +6,11 @@ from itertools import product
 
 import pytest
 import yaml
+from softfin.stages.reproduce_config import PRESETS
 
 from softfin.cli import main
 from softfin.core.errors import LogError
 from softfin.learning.train import train_policies
-from softfin.stages.reproduce_config import PRESETS
 from tests.staged import FIT, ROWS
 
 PLANT = "tests.plants:PlainFin"
