@@ -6,11 +6,11 @@ from itertools import product
 
 import pytest
 import yaml
-from softfin.stages.reproduce_config import PRESETS
 
 from softfin.cli import main
 from softfin.core.errors import LogError
 from softfin.learning.train import train_policies
+from softfin.stages.reproduce_config import PRESETS
 from tests.staged import FIT, ROWS
 
 PLANT = "tests.plants:PlainFin"
@@ -70,7 +70,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
             signal.raise_signal(signal.SIGINT)
         return counted(*given)
 
-    monkeypatch.setattr("softfin.learning.train.train_policies", stopped)
+    monkeypatch.setattr("softfin.stages.controllers.train_policies", stopped)
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
@@ -79,7 +79,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 
-    monkeypatch.setattr("softfin.learning.train.train_policies", counted)
+    monkeypatch.setattr("softfin.stages.controllers.train_policies", counted)
     results = run(capsys, *words, "--resume")
     assert trained == ["single-0", "single-1", "grid-0", "grid-1"]
     assert "collect" not in results["wall_s"]
