@@ -5,10 +5,9 @@ import io
 
 import pytest
 
-from softfin.rig.arming import Arming
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
 from softfin.emulation.clock import SimulatedClock
-from softfin.rig.arming import typed
+from softfin.rig.arming import Arming, typed
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup

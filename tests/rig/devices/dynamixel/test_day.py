@@ -60,7 +60,7 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     assert counts_of(bags / "train-0000.mcap")["/fin/channels/voltage_v"] >= 300
     controller = folder_option("single", tmp_path)
     out = tmp_path / "evaluation"
-    shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]
+    shortest = ["--seconds", "3", "--repeats", "1", "--reference=1,-1"]
     main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
     assert (out / "evaluation.json").exists()
     main(["rig", "stop", *options])

@@ -61,6 +61,6 @@ def pass_a_day(rig, tmp_path, capsys):
     assert described["sensor_by_log"]["train-0000"]["force_zero"]["wrench"] == list(zero.wrench)
     controller = folder_option("single", tmp_path)
     out = tmp_path / "evaluation"
-    shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]
+    shortest = ["--seconds", "3", "--repeats", "1", "--reference=1,-1"]
     main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
     assert (out / "evaluation.json").exists()
