@@ -20,7 +20,7 @@ def test_check_zero_and_collect_pass_and_the_zero_is_found_again(rig, tmp_path, 
     told = ["--rig", str(rig)]
     written = yaml.safe_load(rig.read_text())
     assert written["sensor"]["type"] == "ros2"
-    assert "type" not in written["drive"]
+    assert written["drive"]["type"] == "epos2"
     main(["rig", "check", *told, "--prove", "--arm", "--yes"])
     main(["rig", "zero", *told, "--arm", "--yes"])
     zero = load_record(rig).force_zero
