@@ -73,6 +73,11 @@ MEMORY_BYTES = 1_500_000_000
 """Of a worker, after which they are dropped, too."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that writes the files of help texts anew."""
+    parser.addoption("--rewrite", action="store_true", help="write the help of commands anew")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
     """What a module has compiled is kept for the next ones as long as there is room."""

@@ -24,12 +24,12 @@ CLOCKS = (ActionClock.at(6), ActionClock.at(10, 1), ActionClock.at(2.5, 1.2))
 
 
 def _mapped(clock: ActionClock, out: Path) -> Path:
-    map_forces(StrokeFin(), out, MAP.model_copy(update={"clock": clock}))
+    map_forces(StrokeFin(), out=out, config=MAP.model_copy(update={"clock": clock}))
     return out
 
 
 def _trained(clock: ActionClock, out: Path) -> Path:
-    train(StrokeFin(), out, for_clock(PPO, clock))
+    train(StrokeFin(), out=out, config=for_clock(PPO, clock))
     return out
 
 

@@ -21,12 +21,12 @@ from tests.test_golden import check_keys
 
 
 def flat(values, path=""):
-    """Nested values as what --set takes."""
+    """Nested values as options."""
     for name, value in values.items():
         if isinstance(value, dict):
             yield from flat(value, f"{path}{name}.")
         else:
-            yield f"{path}{name}={value}"
+            yield f"--{path}{name}={value}".replace("_", "-")
 
 
 TINY = {
@@ -35,11 +35,10 @@ TINY = {
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
     "calibrate": "--config calibrate.yaml --evaluations 0",
-    "calibrate --config": "--config docs/calibration.yaml "
-    + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
+    "calibrate --config": "--config docs/calibration.yaml " + " ".join(flat(staged.CALIBRATE)),
     "train": "--config train.yaml",
     "train --range": "--range reach",
-    "train --set": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
+    "train --ppo.num-envs": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--error-map 2",

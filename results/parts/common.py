@@ -146,20 +146,18 @@ def paper(seed: int) -> Step:
     return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --batch 64")
 
 
-PAPER_BOX = "--box '{low:' [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
+PAPER_BOX = "--box '{low: [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
 """Gaits over the paper's range of references only."""
 
 POLICIES = {
     "single": ("--controller single", 1.5),
     "grid": ("--controller grid", 2),
     "single-ppo": (
-        "--controller single --range paper --steps 30000 --ppo.num-envs 32 "
-        "--ppo.num-epochs 8",
+        "--controller single --range paper --steps 30000 --ppo.num-envs 32 --ppo.num-epochs 8",
         0.7,
     ),
     "grid-ppo": (
-        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 "
-        "--ppo.num-epochs 10",
+        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 --ppo.num-epochs 10",
         1,
     ),
 }

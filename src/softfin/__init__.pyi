@@ -11,7 +11,6 @@ from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
-from .rig.doctor import doctor as doctor
 from .stages.collect import collect as collect
 from .stages.controllers import export as export
 from .stages.controllers import map_forces as map_forces

@@ -112,7 +112,7 @@ def evaluate(
     )
     if trim and settings.trim is None:
         settings = settings.merged({"trim": {}}, "--trim")
-    if is_real:
+    if is_real and out is not None:
         from softfin.rig.arming import Arming, KeyboardStop, say
         from softfin.stages.live import evaluate_live
         from softfin.stages.machines import find_robot
