@@ -55,8 +55,10 @@ def make_app(function: Callable[..., object], program: str = "softfin") -> App:
 
 
 def _show_default(default: object) -> str | None:
-    is_shown = not isinstance(default, bool) and default not in (None, (), {})
-    return str(default) if is_shown else None
+    if isinstance(default, bool) or default in (None, (), {}):
+        return None
+    values = default if isinstance(default, tuple) else (default,)
+    return " ".join(map(str, values))
 
 
 def list_options(function: Callable[..., object]) -> tuple[str, ...]:
