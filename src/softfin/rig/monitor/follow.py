@@ -168,7 +168,7 @@ class Follower:
         zeros = [(time_s, zero) for time_s, zero in parsed if zero is not None]
         result = {}
         for role in set(ROLES) - {"event"}:
-            values = np.array(self.traces[role].rows(since))
+            values: np.ndarray = np.array(self.traces[role].rows(since))
             if role == "wrench" and len(values):
                 values[:, 1:3] -= zeros_at(zeros, values[:, 0])
             result[role] = [_finite(row) for row in values.tolist()]
