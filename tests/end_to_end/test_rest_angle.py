@@ -53,7 +53,7 @@ def test_a_surrogate_of_logs_without_angle_0_rests_at_the_end_of_their_range(cap
 
 def test_a_controller_of_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(tmp_path):
     fin = Sideways()
-    train(fin, tmp_path / "controller", PPO)
+    train(fin, out=tmp_path / "controller", config=PPO)
     controller = load_controller(tmp_path / "controller")
     assert controller.limits == fin.limits
     config = EvaluateConfig(seconds=3, seeds=1, references=((1, -1),))

@@ -451,9 +451,10 @@ def sensor_child(folder: Path) -> None:
         # The rate and the stamps stay the same on a busy computer.
         time.sleep(max(0.0, began + sent / 50 - time.monotonic()))
         stamp = Time(*divmod(began_ns + sent * 20_000_000, 10**9))
-        # Each message differs, as those of a real sensor do.
-        force = Vector3(2.0 + 1e-4 * (sent % 7), -1.0, 0.5)
-        wrench = Wrench(force, Vector3(0.1, 0.2, 0.3))
+        # Each number differs from that before, as those of a real sensor do.
+        noise = 1e-4 * (sent % 7)
+        force = Vector3(2.0 + noise, -1.0 + noise, 0.5 + noise)
+        wrench = Wrench(force, Vector3(0.1 + noise, 0.2 + noise, 0.3 + noise))
         writers[0].write(WrenchStamped(Header(stamp, "ft"), wrench))
         if sent == 500:
             writers.append(child.writer("/wrench", WrenchStamped, OFFERS["reliable"]))

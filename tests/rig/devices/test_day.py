@@ -72,7 +72,7 @@ def pass_a_day(rig, capsys):
     assert measured["force_zero"]["wrench"] == list(zero.wrench)
     controller = folder_option("single", rig.parent)
     out = rig.with_name("evaluation")
-    shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]
+    shortest = ["--seconds", "3", "--repeats", "1", "--reference=1,-1"]
     main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
     assert (out / "evaluation.json").exists()
     return rows
