@@ -202,7 +202,7 @@ def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> No
         (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
         (
             lambda f: _drop(f, "format"),
-            "format is 1, written by an older softfin; this softfin reads 3; map or train again",
+            "format is '1', but this softfin reads 3",
         ),
         (lambda f: _drop(f, "clock"), "clock is missing"),
         (

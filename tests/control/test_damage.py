@@ -97,7 +97,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: edit(f, format=4),
-            "format is 4, written by a newer softfin; this softfin reads 3",
+            "format is '4', but this softfin reads 3",
         ),
         (
             "single",

@@ -229,7 +229,6 @@ def half(self, state, command, ticks):
             {"advance_members": half.__get__(GOOD)},
             "advance differs from the mean of advance_members",
         ),
-        ({"member": lambda index: GOOD}, "member.0. differs from the first row"),
         (
             {"distance": lambda state: np.ones(2)},
             r"distance is \[1. 1.\]; it must be a finite number",

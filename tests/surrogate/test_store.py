@@ -80,7 +80,7 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         (lambda d: d.update(rate_hz=50), "the surrogate runs at 50 Hz; softfin requires 100 Hz"),
         (
             lambda d: d.update(format=2),
-            "format is 2, written by a newer softfin; this softfin reads 1; update softfin",
+            "format is '2', but this softfin reads 1; use the version that wrote it",
         ),
         (
             lambda d: d.update(model="oracle"),
