@@ -199,7 +199,7 @@ def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> No
             lambda f: _edit(f, controller="neither"),
             "controller is 'neither', must be one of single, grid, gaits",
         ),
-        (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
+        (lambda f: _edit(f, format=None), "format is .None., but this softfin reads 3"),
         (
             lambda f: _drop(f, "format"),
             "format is '1', but this softfin reads 3",
