@@ -117,7 +117,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "grid",
             lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
-            "no radius negative",
+            "none of them negative",
         ),
         ("gaits", lambda f: edit(f, reachable=None), "reachable = None: must be an object"),
         (
