@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.control.folders import folder_option
 from tests.patience import HANG_S
 
@@ -54,19 +56,20 @@ assert sum(name in sys.modules for name in names) > 100
 ARE_PYTREES = """
 import sys
 from pathlib import Path
+{first}
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import CONTROLLER_STEPS, load_controller
 
 controllers = [load_controller(Path(name)) for name in sys.argv[1:]]
 controllers += [DisturbanceObserver(controller) for controller in controllers]
-assert "jax" not in sys.modules
+assert ("jax" in sys.modules) == bool({first!r})
 import jax
 import numpy as np
 
-classes = {type(controller) for controller in controllers}
-steps = {type(controller.step) for controller in controllers if isinstance(controller, LoadedController)}
-assert classes == {LoadedController, DisturbanceObserver}
+classes = {{type(controller) for controller in controllers}}
+steps = {{type(controller.step) for controller in controllers if isinstance(controller, LoadedController)}}
+assert classes == {{LoadedController, DisturbanceObserver}}
 assert steps == set(CONTROLLER_STEPS.values())
 for controller in controllers:
     leaves = jax.tree.leaves(controller)
@@ -81,19 +84,33 @@ import importlib.util
 import sys
 from softfin.core.jax_import import when_jax_is_imported
 
-class Refusing:
-    def find_spec(self, name, path=None, target=None):
-        if name == "jax":
-            raise ImportError("jax is not on this computer")
-
 before = list(sys.meta_path)
 calls = []
 when_jax_is_imported(lambda: calls.append("first"))
 when_jax_is_imported(lambda: calls.append(bool(sys.modules["jax"].numpy)))
 assert "jax" not in sys.modules
 assert importlib.util.find_spec("jax") is not None and calls == []
+import jax
+assert calls == ["first", True]
+when_jax_is_imported(lambda: calls.append("now"))
+assert calls == ["first", True, "now"]
+assert sys.meta_path == before
+assert type(jax.__loader__).__name__ == "SourceFileLoader"
+"""
+
+NO_JAX = """
+import sys
+from softfin.core.jax_import import when_jax_is_imported
+
+class Refusing:
+    def find_spec(self, name, path=None, target=None):
+        if name == "jax":
+            raise ImportError("jax is not on this computer")
+
 refusing = Refusing()
 sys.meta_path.insert(0, refusing)
+calls = []
+when_jax_is_imported(lambda: calls.append("called"))
 try:
     import jax
     raise AssertionError("imported")
@@ -102,11 +119,7 @@ except ImportError as error:
 assert calls == []
 sys.meta_path.remove(refusing)
 import jax
-assert calls == ["first", True]
-when_jax_is_imported(lambda: calls.append("now"))
-assert calls == ["first", True, "now"]
-assert sys.meta_path == before
-assert type(jax.__loader__).__name__ == "SourceFileLoader"
+assert calls == ["called"]
 """
 
 
@@ -120,10 +133,17 @@ def test_importing_any_module_leaves_jax_and_the_import_system_as_they_are() -> 
     run(IMPORT_ALL)
 
 
-def test_controllers_are_pytrees_if_jax_is_imported_after_them(tmp_path: Path) -> None:
-    """As in all other tests, where it is imported before them."""
-    run(ARE_PYTREES, *(folder_option(kind, tmp_path) for kind in ("single", "grid", "gaits")))
+@pytest.mark.parametrize("first", ["", "import jax"], ids=["controllers first", "JAX first"])
+def test_controllers_are_pytrees_whether_jax_is_imported_before_or_after_them(
+    first: str, tmp_path: Path
+) -> None:
+    folders = [folder_option(kind, tmp_path) for kind in ("single", "grid", "gaits")]
+    run(ARE_PYTREES.format(first=first), *folders)
 
 
-def test_what_waits_for_jax_is_done_at_the_end_of_its_import_if_that_does_not_fail() -> None:
+def test_what_waits_for_jax_is_done_at_the_end_of_its_import() -> None:
     run(WAIT)
+
+
+def test_what_waits_for_jax_goes_on_waiting_while_its_import_fails() -> None:
+    run(NO_JAX)
