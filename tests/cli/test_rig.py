@@ -8,9 +8,9 @@ import pytest
 import softfin
 from softfin.cli import main
 from softfin.core.errors import RunError
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.config import load_rig
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import SafetyConfig
@@ -39,7 +39,7 @@ def test_a_rig_is_checked_without_moving(file, emulated, capsys):
     main(["rig", "check", "--rig", file, "--json"])
     rows = found(capsys)
     # The simple fin of the tests is given limits of the current that its drive never reaches.
-    drive_rows = ["drive", "safety", "own stop", "angle", "zero"]
+    drive_rows = ["drive", "safety", "own stop", "stop in motion", "angle", "zero"]
     sensor_rows = ["force sensor", "force at rest", "force zero"]
     assert list(rows) == ["rig file", "disk", *drive_rows, *sensor_rows, "100 Hz loop", "readings"]
     for what in ("rig file", "force sensor", "force at rest", "drive", "own stop", "angle", "zero"):
@@ -59,8 +59,8 @@ def test_what_is_wrong_is_in_the_table_and_the_exit_code(file, emulated, capsys)
     said = capsys.readouterr()
     assert "WRONG  drive " in said.out
     assert "0x2310, over-current" in said.out
-    assert "WRONG  sensor status " in said.out
-    assert "failed: drive, sensor status" in said.err
+    assert "WRONG  force sensor " in said.out
+    assert "failed: drive, force sensor" in said.err
 
 
 def test_a_fault_is_named_and_reset_when_asked(file, emulated, capsys):
@@ -108,7 +108,7 @@ def test_nothing_moves_before_it_is_proved_that_the_drive_stops_by_itself(file, 
     [
         ({"drive": {"type": "epos2", "node": 1, "serial": 1}}, "serial was 1 and is "),
         ({"drive": {"type": "epos2", "node": 1, "serial": None}}, "serial was None and is "),
-        ({"drive": {"type": "other"}}, "type was other and is epos2"),
+        ({"drive": {"type": "other"}}, "type was 'other' and is 'epos2'"),
         ({"heartbeat_s": 0.3}, "heartbeat_s was 0.3 and is 0.2"),
         ({"host_node": 99}, "host_node was 99 and is 126"),
     ],
@@ -179,6 +179,7 @@ def test_zeroing_the_force_needs_no_arm(file, capsys):
     }
 
 
+@pytest.mark.real_time
 def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
     with Terminal(["rig", "emulate", "--real-time"], tmp_path) as terminal:
         terminal.wait_for("pages at http://127.0.0.1:")

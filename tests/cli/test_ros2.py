@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from softfin import cli
-from softfin.cli import driving
 from softfin.control.controller import Artifact, LoadedController
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import Command, Limits
@@ -15,6 +14,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import SafetyConfig
+from softfin.stages import driving
 from tests.rig.ros2_memory import MemoryTransport
 
 LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)

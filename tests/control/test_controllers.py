@@ -163,4 +163,4 @@ def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> No
     assert first["error_n"] == [0.25, 0.25]
     assert first["tracked_reference_n"] == pytest.approx(first["reference_n"])
     assert description["configuration"]["steps"] == run.config.steps
-    assert (tmp_path / "c" / "training" / "learning.svg").is_file()
+    assert (tmp_path / "c" / "training" / "learning.png").is_file()

@@ -79,11 +79,11 @@ def test_a_map_comes_back_from_its_folder_as_a_controller(tmp_path: Path) -> Non
 
 
 def test_the_folder_says_what_each_gait_makes(tmp_path: Path) -> None:
-    folder = save_known(tmp_path / "gaits", star_shape={"held_outside": 0.0})
+    folder = save_known(tmp_path / "gaits", more={"a": 1})
     description = json.loads((folder / "controller.json").read_text())
     assert description["controller"] == "gaits"
     assert len(description["scores"]) == 12
     assert description["scores"][5]["reference_n"] == pytest.approx([1.5, 0.0])
     assert description["scores"][5]["missed_n"] == pytest.approx(0.01 * 2**0.5, abs=1e-4)
     assert description["provenance"] == {"plant": "mine"}
-    assert description["star_shape"] == {"held_outside": 0.0}
+    assert description["more"] == {"a": 1}

@@ -72,11 +72,12 @@ def test_equal_configurations_hash_equal_so_that_programs_are_compiled_once():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("steps", "missing '='"),
-        ("step=4", "unknown key 'step'; did you mean 'steps'"),
-        ("iner.rate=1", "unknown key 'iner'; did you mean 'inner'"),
-        ("steps.x=1", "steps = {'x': 1}"),
-        ("inner.rate=-1", "inner.rate = -1: Input should be greater than 0"),
+        ("steps", "missing '='; use path=value"),
+        ("step=4", "unknown key 'step'; did you mean 'steps'?"),
+        ("iner.rate=1", "unknown key 'iner'; did you mean 'inner'?"),
+        ("steps.x=1", "steps = {'x': 1}: Input should be a valid integer"),
+        ("inner.rate=-1", r"inner.rate = -1: Input should be greater than 0"),
+        ("steps=many", "steps = 'many': Input should be a valid integer"),
         ("steps=[1", "not valid YAML"),
     ],
 )
@@ -116,34 +117,16 @@ def test_a_missing_yaml_file_is_refused_by_name(tmp_path):
         read_yaml(tmp_path / "nothing.yaml")
 
 
-@pytest.mark.parametrize("value", ["'zwei'", "-1"])
-def test_of_several_configurations_the_one_that_is_meant_is_explained(value):
-    with pytest.raises(ConfigurationError, match=f"--set: fit.epochs = {value}: "):
-        ReproduceConfig().changed([f"fit.epochs={value}"])
-
-
-def nested_aliases(levels: int, template: str) -> str:
-    lines = ["a0: &a0 {k0: 1, k1: 2}"]
-    for level in range(1, levels):
-        aliases = ", ".join([f"*a{level - 1}"] * 9)
-        lines.append(f"a{level}: &a{level} {template.format(aliases)}")
-    return "\n".join(lines)
-
-
-@pytest.mark.parametrize("template", ["[{}]", "{{<<: [{}]}}"], ids=["sequences", "merged mappings"])
-def test_a_short_file_of_nested_aliases_is_refused_at_once(template, tmp_path):
-    file = tmp_path / "bomb.yaml"
-    # 9 to the power of 11 values: a walk over them would not end.
-    file.write_text(nested_aliases(12, template))
-    with pytest.raises(ConfigurationError, match=r"bomb\.yaml: .* 100,000 values"):
-        read_yaml(file)
-
-
-def test_a_value_that_contains_itself_is_refused(tmp_path):
-    file = tmp_path / "loop.yaml"
-    file.write_text("a: &a [*a]")
-    with pytest.raises(ConfigurationError, match="use fewer aliases"):
-        read_yaml(file)
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("fit.epochs=zwei", "--set: fit.epochs = 'zwei': Input should be a valid integer"),
+        ("fit.epochs=-1", "--set: fit.epochs = -1: Input should be greater than 0"),
+    ],
+)
+def test_of_several_configurations_the_one_that_is_meant_is_explained(change, words):
+    with pytest.raises(ConfigurationError, match=words):
+        ReproduceConfig().changed([change])
 
 
 def test_some_aliases_are_fine_and_an_empty_file_is_empty(tmp_path):

@@ -18,23 +18,22 @@ from softfin.core.quantities import (
     tick_at,
 )
 
-ARRAYS = """
+ARE_READINGS = """
 import numpy as np
-import softfin.core.quantities
+from softfin.core.quantities import AnyArray
 import jax, jax.numpy as jnp
 from jaxtyping import Float
-from softfin.core.quantities import AnyArray
-
 kind = Float[AnyArray, "2"]
 arrays = (np.zeros(2, np.float32), jnp.zeros(2), jnp.zeros(3), [0.0, 0.0])
-assert [isinstance(array, kind) for array in arrays] == [True, True, False, False]
+assert [isinstance(x, kind) for x in arrays] == [True, True, False, False]
 assert jax.eval_shape(lambda x: x * isinstance(x, kind), jnp.zeros(2)).shape == (2,)
 """
 
 
-def test_arrays_of_both_kinds_are_readings_whether_jax_was_imported_before_or_after():
-    exec(ARRAYS, {})
-    subprocess.run([sys.executable, "-c", ARRAYS], check=True)
+def test_arrays_of_both_kinds_are_readings_whether_jax_is_imported_afterwards_or_before():
+    subprocess.run([sys.executable, "-c", ARE_READINGS], check=True)
+    assert "jax" in sys.modules
+    exec(ARE_READINGS, {})
 
 
 DESCRIBED = PAPER_LIMITS.to_dict()

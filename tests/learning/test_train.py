@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from softfin.stages.reproduce_config import PRESETS
 
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.gaits.reachable import PAPER_REFERENCES, Reachable, bounding_box
@@ -16,7 +17,6 @@ from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.train import TrainedPolicies, train_policies
-from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig

@@ -7,17 +7,17 @@ import os
 import pytest
 
 from softfin.core.errors import SafetyStop
-from softfin.rig import simulated_network
-from softfin.rig.devices.epos2 import emulated_motor
+from softfin.emulation import network as simulated_network
+from softfin.emulation.epos2 import motor as emulated_motor
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import GOOD_TICKS, Session
 from tests.rig.rigs import emulated
 
-BUFFERS_BYTES = [64 * 1024, 212_992, 4 * 1024 * 1024]
+BUFFERS_BYTES = [64 * 1024, 4 * 1024 * 1024]
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
-PAUSES_S = [0.0, 0.3, 0.55, 0.6, 1.0, 3.0, 60.0 if LONG else 12.0]
+PAUSES_S = [0.0, 0.55, 3.0, 60.0 if LONG else 12.0]
 """Every buffer is full after 11 s."""
 
 
@@ -93,9 +93,9 @@ def test_a_sensor_that_restarted_in_a_pause_is_named_before_the_motor_is_powered
     with Session(machine, Guard(safety, machine.limits)) as session:
         pause(behind, 5.0)
         behind.sensor.reboot(2.0)
-        pause(behind, 20.0)
+        pause(behind, 2.3)
         with pytest.raises(
-            SafetyStop, match=r"restarted, so its zero is lost; .* softfin rig zero --force"
+            SafetyStop, match="restarted; check its supply and cable, then start again"
         ):
             session.activate()
     assert moment.ages == []

@@ -13,7 +13,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FOLDERS
 from softfin.storage.run_directory import RunDirectory
 
-HEAD = {"kind": "surrogate", "format": FOLDERS["surrogate"].number}
+HEAD = {"kind": "surrogate", "format": FOLDERS["surrogate"]}
 """Beginning of each description."""
 
 
@@ -75,52 +75,25 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
         (tmp_path / "thing").mkdir()
         (tmp_path / "thing" / "surrogate.json").write_text("{}")
 
-    with pytest.raises(RunError, match=r"thing\.finished-1"):
+    with pytest.raises(
+        RunError, match=r"thing: already exists; .*the finished result is in .*partial; rename it"
+    ):
         artifacts.write_folder(tmp_path / "thing", write)
-    assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"
-    assert files_in(tmp_path) == ["thing", "thing.finished-1"]
+    (kept,) = tmp_path.glob(".thing.*.partial")
+    assert (kept / "result").read_text() == "hours of work"
 
 
-def test_a_finished_result_is_kept_where_it_cannot_be_renamed(tmp_path, monkeypatch):
-    artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
-    rename = Path.rename
-
-    def fail(one, other):
-        if one.suffix == ".partial" and other.name == "thing":
-            raise OSError(errno.EBUSY, "Device or resource busy")
-        return rename(one, other)
-
-    monkeypatch.setattr(Path, "rename", fail)
-    with pytest.raises(RunError, match="Device or resource busy"):
-        artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
-    assert artifacts.load(tmp_path / "thing", "surrogate")[0] == HEAD | {"version": 1}
-    assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == HEAD | {"version": 2}
-
-
-@pytest.fixture
-def synced(tmp_path, monkeypatch):
-    """What is brought to the disk, and whether `thing` is there by then."""
-
+def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
     def note(descriptor):
         place = Path(f"/proc/self/fd/{descriptor}").readlink()
-        places.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "thing").exists()))
+        synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "file").exists()))
         fsync(descriptor)
 
-    places = []
+    synced = []
     fsync = os.fsync
     monkeypatch.setattr(os, "fsync", note)
-    return places
-
-
-def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, synced):
-    artifacts.write_folder(tmp_path / "thing", lambda folder: (folder / "file").write_text("x"))
-    beside = f".thing.{os.getpid()}.partial"
-    assert synced == [(f"{beside}/file", False), (beside, False), (".", True)]
-
-
-def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, synced):
-    artifacts.write_file(tmp_path / "thing", "x")
-    assert synced == [(f".thing.{os.getpid()}.partial", False), (".", True)]
+    artifacts.write_file(tmp_path / "file", "x")
+    assert synced == [(f".file.{os.getpid()}.partial", False), (".", True)]
 
 
 def test_files_that_were_written_are_closed(tmp_path):
@@ -151,20 +124,25 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
         (tmp_path / "file" / "a" / "out", "Not a directory"),
         (tmp_path / ("x" * 300), "name too long"),
     ):
-        with pytest.raises(ArtifactError, match=rf"(out|x): .*{why}.* --out"):
+        with pytest.raises(
+            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*choose another --out"
+        ):
             artifacts.check_vacant(out)
     assert files_in(tmp_path) == ["file"]
 
 
 def test_nothing_of_the_user_is_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    for text in (None, "{}", "[]", "{", '{"kind": "example"}'):
-        if text is not None:
-            (tmp_path / "robot.json").write_text(text)
-        with pytest.raises(ArtifactError, match="not written by softfin"):
+    with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
+        artifacts.check_vacant(tmp_path, overwrite=True)
+    for text in ("{}", "[]", "{", '{"kind": "example"}'):
+        (tmp_path / "robot.json").write_text(text)
+        with pytest.raises(
+            ArtifactError, match="was not written by softfin, so it is not replaced"
+        ):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    with pytest.raises(ArtifactError, match="--overwrite"):
+    with pytest.raises(ArtifactError, match="choose another --out, or use --overwrite"):
         artifacts.check_vacant(tmp_path / "s")
     artifacts.check_vacant(tmp_path / "s", overwrite=True)
     artifacts.check_vacant(tmp_path / "new")

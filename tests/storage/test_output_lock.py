@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from softfin.core.errors import ArtifactError
-from softfin.core.file_lock import lock_file
+from softfin.core.file_lock import lock_file, unlock_file
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
 from softfin.stages.live import collect_live
 from softfin.stages.reproduce import reproduce
 from softfin.stages.surrogates import calibrate, fit
 from softfin.storage.output_lock import lock_output
-from softfin.storage.run_directory import CHECKPOINT
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory
 
 MESSAGE = rf"out: in use .*\(process {os.getpid()}\).* --out"
 
@@ -29,7 +29,7 @@ def held(tmp_path):
     """An output that is being written to."""
     descriptor = lock_file(tmp_path / ".out.lock")
     yield tmp_path / "out"
-    os.close(descriptor)
+    unlock_file(descriptor)
 
 
 @pytest.mark.parametrize("options", [{}, {"resume": True}, {"overwrite": True}])
@@ -81,6 +81,25 @@ def test_a_run_that_fails_leaves_no_lock(tmp_path):
     with pytest.raises(ArtifactError, match="no such log"):
         write(tmp_path / "out", fail)
     write(tmp_path / "out")
+
+
+def test_a_run_that_fails_leaves_no_empty_folder(tmp_path):
+    out = tmp_path / "new" / "folder" / "out"
+
+    @lock_output
+    def fail(out):
+        raise ArtifactError("no such log")
+
+    with pytest.raises(ArtifactError, match="no such log"):
+        fail(out)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unfinished_work_is_next_to_the_lock_also_through_a_link(tmp_path):
+    (tmp_path / "disk").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "disk" / "out")
+    assert RunDirectory(link, {}).folder == tmp_path / "disk" / ".out.unfinished"
 
 
 def test_a_run_works_if_its_output_cannot_be_locked(tmp_path):

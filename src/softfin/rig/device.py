@@ -1,29 +1,35 @@
 """Interfaces of a rig's devices: what softfin needs from a drive and from a force sensor.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
-`softfin.devices`. It consists of a configuration, a class that implements `Drive` or `ForceSensor`,
-and an emulator; `DriveType` or `ForceSensorType` names all three. `softfin.testing.check_drive` and
+`softfin.devices`. It consists of a configuration and a class that implements `Drive` or
+`ForceSensor`; `DriveType` or `ForceSensorType` names both. `softfin.testing.check_drive` and
 `check_force_sensor` test an implementation.
 
 All times are from the `clock` that the device is given [s]. All calls come from one thread at a
 time, except that any thread may call `Drive.stop`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
+from softfin.core.errors import SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.rig.bus import BusConfig
-from softfin.rig.emulated_fin import EmulatedFin
+from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
+
+MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
+"""How the state of a result is printed."""
+MAX_BRAKE_S = 0.5
+"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 
 class CheckResult(NamedTuple):
@@ -32,6 +38,23 @@ class CheckResult(NamedTuple):
     what: str
     state: Literal["well", "note", "wrong"]
     text: str
+
+    def __str__(self) -> str:
+        return f"{MARKS[self.state]:>6}  {self.what:14} {self.text}"
+
+
+def failing(
+    results: Iterable[CheckResult], error: Callable[[str], SoftfinError]
+) -> Iterator[CheckResult]:
+    """Yield each result as soon as it is available, then raise an error with the names of the
+    failed checks."""
+    failed = []
+    for result in results:
+        if result.state == "wrong":
+            failed.append(result.what)
+        yield result
+    if failed:
+        raise error(f"failed: {', '.join(failed)}")
 
 
 class DeviceConfig(Configuration):
@@ -42,14 +65,6 @@ class DeviceConfig(Configuration):
 
     type: str
     """Name of the device's type."""
-
-    @model_serializer(mode="wrap")
-    def _serialize(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = handler(self)
-        values.pop("type", None)
-        # The default type is left out: collections and signed commissioning steps from before there
-        # were types must stay equal to the rig's configuration.
-        return values if self.type == self.DEFAULT_TYPE else {"type": self.type} | values
 
 
 def is_address(field: str) -> bool:
@@ -84,6 +99,11 @@ class DriveConfig(DeviceConfig):
     acceleration_rad_s2: float = Field(gt=0)
     """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
     gearbox and fin."""
+    quick_stop_rad_s2: float = Field(gt=0)
+    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
+    withstand."""
+    direction: Literal[1, -1] = 1
+    """-1 if the drive's positive direction is that of negative fin angles."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True
@@ -111,6 +131,13 @@ class DriveConfig(DeviceConfig):
     def _limits_fit(self) -> "DriveConfig":
         if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
+        braking_s = self.fastest_rad_s / self.quick_stop_rad_s2
+        if braking_s > MAX_BRAKE_S:
+            raise ValueError(
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop "
+                f"from fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
+                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
+            )
         return self
 
 
@@ -162,14 +189,6 @@ class CurrentLimits(NamedTuple):
 
     peak_a: float | None
     continuous_a: float | None
-
-
-class SampleCounter(NamedTuple):
-    """A sensor's counter, which restarts when the sensor loses power and with it its zero."""
-
-    samples: int
-    rate_hz: float
-    """Measured rate [Hz]; 0 until it is known."""
 
 
 class Drive(Protocol):
@@ -291,8 +310,9 @@ class ForceSensor(Protocol):
         """Lock acquired by `open`, so that no second program uses the sensor."""
 
     @property
-    def serial(self) -> str | None:
-        """Serial number; None if the sensor does not report it or has not been opened."""
+    def identity(self) -> dict[str, str | None]:
+        """Properties that the open sensor reports and that affect its zero, by name, e.g.
+        `serial`."""
 
     @property
     def delay_s(self) -> float:
@@ -300,14 +320,8 @@ class ForceSensor(Protocol):
         [s]."""
 
     @property
-    def sample_counter(self) -> SampleCounter | None:
-        """Counter that reveals that an open sensor has lost its zero; None if the sensor does not
-        keep its zero itself."""
-
-    @property
-    def zero_wrench(self) -> Wrench | None:
-        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]; None if
-        the sensor subtracts it itself."""
+    def zero_wrench(self) -> Wrench:
+        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]."""
 
     def open(self) -> None:
         """Connect and wait for readings. On failure, close again; raises RigError if the sensor
@@ -328,7 +342,7 @@ class ForceSensor(Protocol):
         """Set the zero to the current load; call only while the fin is at rest."""
 
     def restore_zero(self, wrench: Wrench) -> None:
-        """Set an open sensor's `zero_wrench` to a recorded one; only called if it is not None."""
+        """Set an open sensor's `zero_wrench` to a recorded one."""
 
     def checks(self) -> Iterator[CheckResult]:
         """Yield lines for `softfin rig check` about the open sensor; the first describes it."""
@@ -347,25 +361,6 @@ class ForceSensor(Protocol):
         """Disconnect; may be called repeatedly and never raises."""
 
 
-class EmulatedDevice(Protocol):
-    """An emulated device, running from construction until `close`."""
-
-    def address(self) -> JsonObject:
-        """Return the fields of the device's configuration that lead to this emulator."""
-
-    def description(self) -> str:
-        """Describe the address for the operator."""
-
-    def remembered(self) -> JsonObject:
-        """Return the state that a power loss would erase, for JSON."""
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue as if the supply had never been off."""
-
-    def close(self) -> None:
-        """Stop; may be called repeatedly."""
-
-
 Settings = TypeVar("Settings", bound=DeviceConfig)
 
 
@@ -375,14 +370,9 @@ class DriveType(Generic[Settings]):
 
     config: type[Settings]
     """Class of its configuration."""
-    make: Callable[[Settings, BusConfig | None, Clock, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, a clock, and a function to call at
-    once when the drive reports a fault, from any thread."""
-    emulated_config: Callable[[Limits | None, float | None, bool], Settings]
-    """Returns the configuration of an emulated drive with these command limits and this
-    acceleration [rad/s2], in real time or not."""
-    emulate: Callable[[Settings, BusConfig, EmulatedFin, Clock], EmulatedDevice]
-    """Starts an emulator that turns a fin."""
+    make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
+    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
+    at once when the drive reports a fault, from any thread."""
 
 
 @dataclass(frozen=True)
@@ -391,9 +381,5 @@ class ForceSensorType(Generic[Settings]):
 
     config: type[Settings]
     """Class of its configuration."""
-    make: Callable[[Settings, Clock], ForceSensor]
-    """Makes a sensor from its configuration and a clock."""
-    emulated_config: Callable[[], Settings]
-    """Returns the configuration of an emulated sensor, mounted as `SENSOR_MOUNTING`."""
-    emulate: Callable[[Settings, EmulatedFin, Clock], EmulatedDevice]
-    """Starts an emulator that measures a fin's force, mounted as `SENSOR_MOUNTING`."""
+    make: Callable[[Settings, Computer], ForceSensor]
+    """Makes a sensor from its configuration and the computer."""

@@ -6,9 +6,12 @@ settings and firmware, so a rig with a file must not move its fin before this pr
 """
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
+from softfin.core.json_object import describe_changes
 from softfin.rig.config import RigConfig
 from softfin.rig.device import Drive
 from softfin.rig.drive_safety import PausedError
@@ -22,18 +25,8 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
     Raises PausedError if the test is not valid, and DeviceError if the drive does not stop by
     itself; an earlier proof is then removed.
     """
-    record = load_record(config.file)
-    try:
+    with removed_on_failure(config):
         faulted_after_s = drive.prove_stop()
-    except PausedError:
-        raise
-    except SoftfinError as error:
-        try:
-            save_record(config.file, record.model_copy(update={"stop_proof": None}))
-        except SoftfinError as failure:
-            problem = f"{error}; AND the earlier proof could not be removed: {failure}"
-            raise DeviceError(problem) from error
-        raise
     proof = StopProof(
         date=date_and_time(),
         drive=drive.identity,
@@ -41,8 +34,26 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
         host_node=config.drive.host,
         faulted_after_s=round(faulted_after_s, 4),
     )
+    record = load_record(config.file)
     save_record(config.file, record.model_copy(update={"stop_proof": proof}))
     return proof
+
+
+@contextmanager
+def removed_on_failure(config: RigConfig) -> Iterator[None]:
+    """Remove an earlier proof of the drive's own stop if a test of it fails in this context."""
+    try:
+        yield
+    except PausedError:
+        raise
+    except SoftfinError as error:
+        record = load_record(config.file)
+        try:
+            save_record(config.file, record.model_copy(update={"stop_proof": None}))
+        except SoftfinError as failure:
+            problem = f"{error}; AND the earlier proof could not be removed: {failure}"
+            raise DeviceError(problem) from error
+        raise
 
 
 def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
@@ -66,15 +77,12 @@ def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
 def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
     """Describe the changes to the drive and its settings since the proof, because the drive may now
     react differently; empty if there are none."""
-    before = proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node}
-    now = drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host}
-    return ", ".join(
-        f"{name} was {before.get(name)} and is {now.get(name)}"
-        for name in sorted(before.keys() | now.keys())
-        if before.get(name) != now.get(name)
+    return describe_changes(
+        proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node},
+        drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host},
     )
 
 
-def proving_command(file: Path) -> str:
+def proving_command(file: Path, options: str = "--prove") -> str:
     """Return the command for testing whether a rig's drive stops by itself."""
-    return f"softfin rig check --rig {shlex.quote(str(file))} --prove --arm"
+    return f"softfin rig check --rig {shlex.quote(str(file))} {options} --arm"

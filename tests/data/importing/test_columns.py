@@ -4,13 +4,10 @@ import shlex
 import numpy as np
 import pytest
 
-from softfin.core.dynamixel import CENTER, MODELS
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.data.importing.columns import choose_columns, converted, describe_columns
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig, compose_frames
-from softfin.rig.devices.dynamixel.config import Units
 from softfin.storage.log_file import SCHEMA
-from tests.rig.devices.dynamixel.bench import servo_config
 
 AUTHORS = ["command angle", "command velocity", "position", "force x", "force y"]
 MAPPED = (
@@ -89,30 +86,6 @@ def test_the_control_table_of_a_dynamixel_is_read_and_shown():
     assert "or 'profile_speed'" in refusal([*names, "profile_speed"])
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_registers_of_a_dynamixel_are_converted_as_its_driver_does(model):
-    units = Units.of(servo_config(model=model))
-    registers = {
-        "angle": np.array([1024.0, 2048.0, 2**32 - 100.0]),
-        "velocity": np.array([0.0, 100.0, 2**32 - 100.0]),
-        "current": np.array([0.0, 300.0, 2**16 - 300.0]),
-        "voltage": np.array([95.0, 120.0, 160.0]),
-    }
-    config = ImportConfig.build(
-        {
-            "angles": "dynamixel",
-            "angle_zero": CENTER,
-            "units": f"current={model},voltage=dynamixel",
-        }
-    )
-    result = converted(registers, config)
-    # ROBOTIS's library reads unsigned numbers, softfin's driver signed ones.
-    assert result["angle"] == pytest.approx([units.angle(value) for value in (1024, 2048, -100)])
-    assert result["velocity"] == pytest.approx([units.velocity(value) for value in (0, 100, -100)])
-    assert result["current_a"] == pytest.approx([units.current(value) for value in (0, 300, -300)])
-    assert result["voltage_v"] == pytest.approx([9.5, 12.0, 16.0])
-
-
 def test_the_zero_of_the_angle_is_in_the_unit_of_the_columns():
     channels = {"angle": np.array([100.0, 190.0]), "velocity": np.array([90.0])}
     config = ImportConfig.build({"angles": "deg", "angle_zero": 100, "negate": "angle"})
@@ -150,7 +123,7 @@ def test_a_suggestion_with_commas_and_quotes_can_be_copied():
 def test_an_unknown_unit_is_refused_with_the_known_ones(name):
     message = refusal([name, *AUTHORS[:2], *AUTHORS[3:]])
     assert f"no column recognized as angle among {name!r}" in message
-    assert "(known units: rad, mrad, deg, turn, dynamixel)" in message
+    assert "(known units: rad, mrad, deg, turn)" in message
 
 
 def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
@@ -207,7 +180,6 @@ def test_without_a_column_of_time_the_rate_must_be_told():
         ("negate", "command_velocity"),
         ("force", "x,x"),
         ("angle_zero", "nan"),
-        ("units", "current=dynamixel"),
     ],
 )
 def test_options_that_cannot_be_are_refused_by_name(option, value):

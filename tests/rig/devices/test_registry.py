@@ -10,7 +10,7 @@ from softfin.rig.device import ForceSensorType
 from softfin.rig.devices import registry
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.device import AXIA80
-from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.axia80.sensor import RdtSource
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.rig import Rig
 from softfin.storage import plugins
@@ -23,25 +23,16 @@ def values():
         return behind.values()
 
 
-def test_a_file_without_types_means_the_epos2_and_the_axia80_and_is_kept_as_it_was(values):
-    assert "type" not in values["drive"]
-    assert "type" not in values["sensor"]
-    config = RigConfig.build(values)
+def test_a_file_without_types_means_the_epos2_and_the_axia80(values):
+    unnamed = values | {
+        part: {name: value for name, value in values[part].items() if name != "type"}
+        for part in ("drive", "sensor")
+    }
+    config = RigConfig.build(unnamed)
     assert isinstance(config.drive, Epos2Config)
     assert isinstance(config.sensor, Axia80Config)
-    dumped = config.model_dump(mode="json")
-    # Claims of collections and signed commissioning steps from before there were types stay equal.
-    assert "type" not in dumped["drive"]
-    assert "type" not in dumped["sensor"]
-    assert RigConfig.build(dumped) == config
-
-
-def test_the_default_types_may_be_named(values):
-    named = values | {
-        "drive": values["drive"] | {"type": "epos2"},
-        "sensor": values["sensor"] | {"type": "axia80"},
-    }
-    assert RigConfig.build(named) == RigConfig.build(values)
+    assert config == RigConfig.build(values)
+    assert RigConfig.build(config.model_dump(mode="json")) == config
 
 
 @pytest.mark.parametrize(
@@ -50,7 +41,7 @@ def test_the_default_types_may_be_named(values):
         (
             "sensor",
             "axia8",
-            r"sensor: type 'axia8': unknown force sensor; use one of axia80, lines",
+            r"sensor: type 'axia8': unknown force sensor; use one of axia80, dynamixel, epos2, lines",
         ),
         ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use another type"),
     ],
@@ -77,7 +68,7 @@ class OtherConfig(Axia80Config):
     type: str = "other"
 
 
-OTHER = ForceSensorType(OtherConfig, AXIA80.make, AXIA80.emulated_config, AXIA80.emulate)
+OTHER = ForceSensorType(OtherConfig, AXIA80.make)
 
 
 def offer(monkeypatch, value):
@@ -90,10 +81,10 @@ def test_another_package_adds_a_sensor_through_its_entry_point(values, monkeypat
     config = RigConfig.build(values | {"sensor": values["sensor"] | {"type": "other"}})
     assert isinstance(config.sensor, OtherConfig)
     assert config.model_dump()["sensor"]["type"] == "other"
-    assert isinstance(Rig(config).sensor, Axia80)
+    assert isinstance(Rig(config).sensor._source, RdtSource)
 
 
 def test_a_package_that_cannot_be_imported_is_named(monkeypatch):
     offer(monkeypatch, "no_such_package:DEVICE")
     with pytest.raises(RigError, match=r"type 'other': no_such_package:DEVICE cannot be imported"):
-        registry.find_force_sensor("other")
+        registry.find_device(ForceSensorType, "other")

@@ -9,16 +9,17 @@ import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2 import motor as emulated_motor
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, procedures, protocol
+from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.connection import CanConnection, download
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.procedures import BUS_REFUSES_S
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.devices.epos2.bench import (
     NODE,
     Bench,
@@ -444,10 +445,10 @@ def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from
         (
             protocol.VELOCITY_NOTATION,
             -3,
-            "velocity notation index .* is -3: set it to 0 in EPOS Studio",
+            "velocity notation index .* is -3: .*; set it to 0 in EPOS Studio",
         ),
-        (protocol.POSITION_NOTATION, 1, "every angle will be wrong by a power of ten"),
-        (protocol.ACCELERATION_NOTATION, 1, "every acceleration will be wrong by a power of ten"),
+        (protocol.POSITION_NOTATION, 1, "every angle would be wrong by a power of ten"),
+        (protocol.ACCELERATION_NOTATION, 1, "every acceleration would be wrong by a power of ten"),
     ],
 )
 def test_a_setting_that_changes_units_is_refused(entry: Object, value: int, words: str) -> None:
