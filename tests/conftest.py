@@ -43,11 +43,12 @@ SOFTFIN = Path(__file__).parents[1] / "src" / "softfin"
 CHECKED = [
     f"softfin.{'.'.join(path.relative_to(SOFTFIN).with_suffix('').parts)}"
     for path in SOFTFIN.rglob("*.py")
-    if path.relative_to(SOFTFIN).parts[0] not in ("rig", "emulation")
+    if path.relative_to(SOFTFIN).parts[0] not in ("rig", "emulation", "stages")
     and path != SOFTFIN / "testing" / "devices.py"
 ]
 """Modules whose annotations are checked at each call. The rig and its emulation have hardly any
-arrays, and the checks made its simulated loops five times as slow."""
+arrays, and the checks made its simulated loops five times as slow. The stages state what can be
+typed on the command line; their plants and configurations may also be objects."""
 
 # A shell's background jobs ignore Ctrl-C, and so would the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)

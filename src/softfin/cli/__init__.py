@@ -153,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.write(f"Usage: softfin {first} ACTION [OPTIONS]\n\n{_list(actions)}\n")
     else:
         typed = " ".join(words[:2] if actions else words[:1])
-        names = actions or {name.split()[0]: None for name in COMMANDS}
+        names = list(actions) or list(dict.fromkeys(name.split()[0] for name in COMMANDS))
         close = difflib.get_close_matches(typed, names, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
         _exit(f"softfin: unknown command {typed!r}; use {', '.join(names)}{hint}", 2)
