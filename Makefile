@@ -10,11 +10,13 @@ export UV_PYTHON_DOWNLOADS ?= never
 RUN := $(UV) run --frozen
 # A file's tests on one worker, the longest files first.
 PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
+# Behind the others and alone: these fail on a computer that is too busy.
+REAL_TIME := $(RUN) pytest -m real_time
 OUT ?= runs/demo
 QUICK ?=
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
+.PHONY: setup demo day test test-quick test-changed test-real-time test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -23,7 +25,7 @@ setup: .venv/.ready ## make the environment
 	.tools/bin/python -m pip install --quiet uv
 
 .venv/.ready: pyproject.toml uv.lock $(filter .tools/bin/uv,$(UV))
-	$(UV) sync --frozen --python $(PYTHON)
+	$(UV) sync --frozen --python $(PYTHON) $(EXTRAS)
 	touch $@
 
 demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores, once set up; QUICK=1 for one minute
@@ -34,19 +36,28 @@ day: setup ## a whole day at an emulated rig in some minutes: check, zero, colle
 	$(RUN) python examples/rig_day.py --quick --out $(OUT)
 
 test: setup ## all tests
-	$(PYTEST)
+	$(PYTEST) -m "not real_time"
+	$(REAL_TIME)
 
 test-quick: setup ## the tests that take a few seconds at most
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not real_time"
+
+test-changed: setup ## the files of tests that import, or read, what has changed since they last passed
+	$(RUN) python tools/changed.py
+
+test-real-time: setup ## the tests that fail on a computer that is too busy
+	$(REAL_TIME)
 
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
-	SOFTFIN_LONG=1 $(PYTEST)
+	SOFTFIN_LONG=1 $(PYTEST) -m "not real_time"
+	SOFTFIN_LONG=1 $(REAL_TIME)
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
 	$(RUN) --extra ray pytest -n auto --dist load -rs tests/stages/test_ray_training.py
 
-mutants: setup ## change the rig's code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1
-	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES))
+mutants: setup ## change the code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1 MODULES=rig
+	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES)) \
+		$(if $(REPEAT),--repeat $(REPEAT))
 
 wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/, and the versions that were tested, for robots
 	$(UV) build --quiet --out-dir dist

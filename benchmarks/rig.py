@@ -26,11 +26,11 @@ from tests.rig.simple_fin import SimpleFin
 from benchmarks.measure import entry
 from softfin.control.controller import LoadedController, Measured
 from softfin.control.store import load_controller
-from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.emulation.rig import EmulatedRig
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
@@ -211,7 +211,7 @@ def _stops() -> list[dict[str, Any]]:
 
 
 def _stop(name: str, provoke: Callable[[EmulatedRig], None]) -> float:
-    with EmulatedRig(fin=PulledFin(), clock=REAL) as emulated:
+    with EmulatedRig(fin=PulledFin(), clock=COMPUTER) as emulated:
         values = emulated.values(
             bus={"interface": "virtual", "channel": emulated.channel}, safety=SAFETY
         )
@@ -269,7 +269,7 @@ class _QuickStop:
 
 
 def _filter_delay() -> float:
-    with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
+    with EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as emulated:
         rig = Rig(RigConfig.build(emulated.values(), "emulated rig"))
         rig.sensor.open()
         delay = rig.sensor.stream.delay_s

@@ -35,7 +35,7 @@ from tests.rig.deaths import (
 )
 
 from benchmarks.measure import entry
-from softfin.core.clock import REAL
+from softfin.rig.computer import COMPUTER
 
 SIMULATED_TRIALS = int(os.environ.get("SOFTFIN_DEATHS", "100"))
 REAL_TRIALS = int(os.environ.get("SOFTFIN_DEATHS_REAL", "100"))
@@ -119,13 +119,13 @@ def _run_real_trial(trial: Trial, context: Any) -> tuple[Outcome, float]:
     """Return what was seen and the limit [s], in real time with hosts that are processes."""
     numbers = trial.numbers
     with (
-        Fleet(trial.count, REAL_HEARTBEAT_S, REAL) as fleet,
+        Fleet(trial.count, REAL_HEARTBEAT_S, COMPUTER) as fleet,
         _hosts(fleet, numbers, context) as hosts,
     ):
         place = numbers.randrange(trial.count)
         victim = fleet.stations[place]
         fleet.await_swimming(victim)
-        REAL.sleep(numbers.uniform(0.0, MOMENTS_S))
+        COMPUTER.sleep(numbers.uniform(0.0, MOMENTS_S))
         if trial.kind == CABLE_CUT:
             cut([victim])
         else:

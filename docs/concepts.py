@@ -431,7 +431,7 @@ def main(paths: list[Path]) -> None:
         with styled():
             figure = new_figure(WIDTH_IN, 4)
             FIGURES[path.stem](figure)
-        save_figure(figure, path.parent, path.stem, ("png",))
+        save_figure(figure, path)
         image = Image.open(path).convert("RGB")
         image.quantize(COLOURS).save(path, optimize=True)
 

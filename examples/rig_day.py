@@ -72,7 +72,6 @@ def day(quick: bool) -> None:
     )
     softfin(*judged, *amount, *MOVES)
     softfin("run", "controller", "--reference=1.5,-0.5", "--seconds=5", "--bag", "run.mcap", *MOVES)
-    softfin("bag", "convert", "run.mcap", "--out", "run.parquet")
     softfin("export", "controller", "--onnx", "controller.onnx")
     mean = json.loads(Path("evaluation/evaluation.json").read_text())["mean"]
     print(

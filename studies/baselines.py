@@ -22,7 +22,6 @@ import numpy as np
 
 from softfin.core.errors import RunError
 from softfin.core.plant import Plant, rest_command
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
@@ -62,7 +61,7 @@ def find_baselines(search: OpenLoopSearch, config: EvaluateConfig) -> dict[str, 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
     """Score one series of commands per reference ``(references, ticks)`` in the same way as a
     controller."""
-    recorded = run_commands(jit_argument(plant), commands, config.keys())
+    recorded = run_commands(plant, commands, config.keys())
     reading, true_force = jax.tree.map(np.asarray, recorded)
     # A recording has the commands of every seed, which are the same here.
     angle = np.repeat(np.asarray(commands.angle)[:, None], config.seeds, axis=1)

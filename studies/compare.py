@@ -259,7 +259,7 @@ def main() -> None:
         summary["noise_floor"] = {"horizons": comparison.noise_floor.horizons}
     words.out.mkdir(parents=True, exist_ok=True)
     (words.out / "comparison.json").write_text(json.dumps(summary, indent=1))
-    save_figure(comparison_figure(comparison), words.out, "comparison")
+    save_figure(comparison_figure(comparison), words.out / "comparison.png")
     for candidate in filter(None, (*comparison.candidates, comparison.noise_floor)):
         for horizon_s, scores in zip(comparison.horizons_s, candidate.horizons, strict=True):
             values = ", ".join(f"{name} {value:.4g}" for name, value in scores.items())

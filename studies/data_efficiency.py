@@ -348,7 +348,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         panels[0].plot([], [], color=BLACK, linestyle=":", label="the tank itself")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    save_figure(figure, path.parent, path.stem, (path.suffix[1:],))
+    save_figure(figure, path)
 
 
 def curve(

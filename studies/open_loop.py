@@ -27,7 +27,6 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import RunError
 from softfin.core.plant import Plant, State, TrueForcePlant
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
 from softfin.core.randomness import named_generator, named_key
 from softfin.core.window import moving_error
@@ -108,7 +107,7 @@ def run_commands(
     """Issue every series of commands with every key of the plant, each from rest.
 
     Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)``
-    [N], or None if the plant does not compute it. `plant` is the result of `jit_argument`.
+    [N], or None if the plant does not compute it.
     """
 
     def tick(state: State, command: Command) -> tuple[State, tuple[Reading, Array | None]]:
@@ -166,12 +165,11 @@ class OpenLoopSearch(NamedTuple):
         # Pad with copies of the last case to full chunks; their forces are dropped at the end.
         padding = ((0, -count % size), (0, 0))
         angle, velocity = (np.pad(field, padding, mode="edge") for field in commands)
-        plant = jit_argument(self.plant)
         keys = named_key(self.seed, "baselines/search")[None]
         forces = []
         for start in range(0, count, size):
             chunk = Command(angle[start : start + size], velocity[start : start + size])
-            reading, _ = run_commands(plant, chunk, keys)
+            reading, _ = run_commands(self.plant, chunk, keys)
             forces.append(np.asarray(reading.force[:, 0]))
         return np.concatenate(forces)[:count]
 

@@ -194,7 +194,7 @@ def main(path: Path) -> None:
             for stiffness, thrust, lag in zip(*best, strict=True)
         )
         print(f"| {name} | " + " | ".join(cells) + " |")
-    save_figure(draw(found["default"], optima(found["default"])), path.parent, path.stem, ("png",))
+    save_figure(draw(found["default"], optima(found["default"])), path)
 
 
 if __name__ == "__main__":

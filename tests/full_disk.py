@@ -26,11 +26,10 @@ def check_that_a_full_disk_stops(job, work):
 
     def write_until_full(log, step, **scalars):
         if next(entries) == 3:
-            (events,) = work.glob("events.*")
-            fill(events)
+            fill(log.path)
         write(log, step, **scalars)
 
-    message = r"events\..*: cannot be written \(No space left on device\); free disk space, then"
+    message = r"log.jsonl: cannot be written \(No space left on device\); free disk space, then"
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr(RunLog, "write", write_until_full)
         with pytest.raises(RunError, match=message):

@@ -63,6 +63,7 @@ class PlainFin:
 
     def __init__(self, gain: float = 0.5) -> None:
         self._fin = AnalyticFin(gain=gain)
+        self.identity = f"gain {gain:g}"
 
     def init(self, key: PRNGKeyArray) -> FinState:
         return self._fin.init(key)

@@ -5,6 +5,8 @@ Nothing is recorded, learnt or searched for: what is asked of them is to be ther
 """
 
 import csv
+import fcntl
+import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -112,6 +114,30 @@ def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(profile, "SEGMENTS", 4)
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are laid out where they are looked at; here their files are only written."""
+    monkeypatch.setattr("softfin.storage.figures._render", lambda *_, **__: b"<svg></svg>")
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """What MAKERS make, made when it is first asked for and then shared by all workers."""
+    own = tmp_path_factory.getbasetemp()
+    root = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "made"
+
+    def find(name: str) -> Path:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with (root / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                MAKERS[name](path)
+        return path
+
+    return find
+
+
 def dataset(path: Path) -> None:
     """Three logs and one to score on, as if of the tank."""
     logs = [streaming.recorded(ROWS, seed) for seed in range(4)]
@@ -150,25 +176,6 @@ def run_csv(path: Path) -> None:
         "Fx [N]": columns["force_x_n"],
         "Fy [N]": columns["force_y_n"],
         "temperature": np.full(ROWS, 20.0),
-    }
-    _csv(path, own)
-
-
-def servo_csv(path: Path) -> None:
-    """A CSV file of the raw registers of a Dynamixel that was zeroed by softfin."""
-    columns = to_columns(streaming.recorded(ROWS))
-    per_rad = 4096 / (2 * np.pi)
-    per_rad_s = 60 / (2 * np.pi) / 0.229
-    own = {
-        "t [ms]": columns["time_s"] * 1000,
-        "goal_position": np.rint(2048 + per_rad * columns["command_angle_rad"]),
-        "profile_velocity": np.rint(per_rad_s * columns["command_velocity_rad_s"]),
-        "present_position": np.rint(2048 + per_rad * columns["angle_rad"]),
-        "present_velocity": np.rint(per_rad_s * columns["velocity_rad_s"]),
-        "present_current": np.full(ROWS, 100.0),
-        "present_input_voltage": np.full(ROWS, 120.0),
-        "Fx [N]": columns["force_x_n"],
-        "Fy [N]": columns["force_y_n"],
     }
     _csv(path, own)
 
@@ -244,7 +251,6 @@ MAKERS = MappingProxyType(
         "recordings": recordings,
         "authors": authors,
         "run.csv": run_csv,
-        "servo.csv": servo_csv,
         "run1": bag,
         "run.mcap": mcap,
         "dataset-bags/train-0000.mcap": mcap,
@@ -263,8 +269,3 @@ MAKERS = MappingProxyType(
     }
 )
 """By the names that the documents give."""
-
-
-def kind_of(maker: Callable[[Path], None]) -> str:
-    """What it makes, in a word."""
-    return maker.__name__.removeprefix("paper_")

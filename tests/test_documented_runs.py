@@ -1,8 +1,7 @@
-"""Every command that README and docs show runs, shrunk by options that are added to it and by
-nothing else."""
+"""Every option of every command that README and docs show runs, shrunk by options that are added to
+it and by nothing else."""
 
 import contextlib
-import re
 import runpy
 import shlex
 import shutil
@@ -16,8 +15,8 @@ import yaml
 
 from softfin.cli import main
 from tests import staged
-from tests.documents import ROOT, Shown, commands, softfin_words
-from tests.staged import short_search  # noqa: F401  # pytest finds fixtures here
+from tests.documents import ROOT, Shown, command_name, commands, softfin_words
+from tests.staged import made, no_figures, short_search  # noqa: F401  # pytest finds fixtures here
 from tests.test_golden import check_keys
 
 
@@ -84,7 +83,7 @@ ELSEWHERE = {
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
-    "rig commission --arm": "tests/rig/test_commissioning.py",
+    "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",
@@ -108,38 +107,32 @@ def runs(shown: Shown) -> bool:
     )
 
 
-def kind(shown: Shown) -> tuple[str, ...]:
-    """Its words, with what they name by its kind: commands that are alike but for names and numbers
-    are run once."""
+def options(shown: Shown) -> set[tuple[str, str]]:
+    """Those of a command, which itself counts as one."""
     words = softfin_words(shown)
-    named = []
-    for before, word in zip(("", *words), words, strict=False):
-        maker = staged.MAKERS.get(word.rstrip("/"))
-        place = before in ("--out", "--onnx")
-        named.append(
-            Path(word).suffix if place else staged.kind_of(maker) if maker else _as_kind(word)
-        )
-    return tuple(named)
+    command = command_name(words)
+    return {(command, word.partition("=")[0]) for word in ("", *words) if word[:2] in ("", "--")}
 
-
-def _as_kind(word: str) -> str:
-    """Numbers are alike, too."""
-    return re.sub(r"-?\d+(\.\d+)?", "0", word)
-
-
-SHOWN: dict[tuple[str, ...], Shown] = {}
-"""The first of each kind."""
-for _shown in filter(runs, commands()):
-    SHOWN.setdefault(kind(_shown), _shown)
 
 README = [shown for shown in commands() if shown.document == "README.md" and runs(shown)]
 """In their order."""
 AWAY = (*IN_THE_DAY, *ELSEWHERE)
-HERE = [
-    shown
-    for shown in SHOWN.values()
-    if shlex.join(softfin_words(shown)) not in AWAY and shown.document != "README.md"
-]
+
+
+def first_of_each_option() -> list[Shown]:
+    """The longest commands, until each option of each command has run; that the others are
+    understood is looked at in test_documentation.py."""
+    ran = set().union(*map(options, README))
+    chosen = []
+    lines = {shlex.join(softfin_words(shown)): shown for shown in commands() if runs(shown)}
+    for line in sorted(lines.keys() - set(AWAY), key=lambda line: (-len(line.split()), line)):
+        if not options(lines[line]) <= ran:
+            chosen.append(lines[line])
+            ran |= options(lines[line])
+    return chosen
+
+
+HERE = first_of_each_option()
 
 
 def added(words: tuple[str, ...], options: Mapping[str, str] = TINY) -> list[str]:
@@ -153,24 +146,8 @@ def is_like(entry, words):
     return entry.split()[0] == words[0] and set(entry.split()) <= set(words)
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """The folder of everything that was made for a command before; made when it is first asked
-    for."""
-    root = tmp_path_factory.mktemp("made")
-
-    def find(name: str) -> Path:
-        path = root / name
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            staged.MAKERS[name](path)
-        return path
-
-    return find
-
-
 @pytest.fixture
-def place(tmp_path, monkeypatch, short_search):  # noqa: F811
+def place(tmp_path, monkeypatch, short_search, no_figures):  # noqa: F811
     """The folder where one works, with the configurations that shrink."""
     for name, values in staged.CONFIGURATIONS.items():
         (tmp_path / name).write_text(yaml.safe_dump(values))
@@ -203,7 +180,7 @@ def expand(word: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shown", HERE, ids=str)
-def test_a_command_of_the_documents_runs(shown, made, place, capsys):
+def test_a_command_of_the_documents_runs(shown, made, place, capsys):  # noqa: F811
     words = softfin_words(shown)
     for name in named(words):
         (place / name).parent.mkdir(parents=True, exist_ok=True)

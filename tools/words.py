@@ -53,7 +53,6 @@ NAMES = {
     "Freed": "FreeRunPrediction",
     "freed": "prediction",
     "beyond_data": "out_of_distribution_fraction",
-    "Doubt": "SurrogateUncertainty",
     "doubt": "stop_unconfirmed, uncertainty",
     "Place": "Segment",
     "Piece": "Segment",

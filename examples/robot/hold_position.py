@@ -141,7 +141,7 @@ def draw(run: Run, path: Path) -> None:
         angles.plot(time, np.degrees(run.tilt_rad), color=ORANGE, lw=0.8, label="tilt")
         angles.set(ylabel="angle [degrees]", xlabel="time [s]")
         angles.legend(loc="lower right")
-        save_figure(figure, path.parent, path.stem, ("png",))
+        save_figure(figure, path)
 
 
 def main() -> None:

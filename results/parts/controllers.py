@@ -24,7 +24,7 @@ from results.parts.common import (
 from results.record import figure
 from results.steps import Step, step
 
-JUDGED = "--repeats 1 --moving step --random 100"
+JUDGED = "--repeats 1 --moving --random 100"
 """Options of the evaluation in the published surrogate, which has no randomness."""
 
 
@@ -65,8 +65,8 @@ def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Par
             figures[f"{kind}.trained_in"] = work.spent(names, own)
             figures[f"{kind}.processor"] = work.spent(names, own, "processor_s")
             for score, summary in (("mean", "mean"), ("worst", "worst")):
-                drawn = [pair(row["random"], f"{score}_n") for row in rows]
-                lattice = [[row["error_map"][f"{score}_{axis}_n"] for axis in "xy"] for row in rows]
+                drawn = [row["random"][f"{score}_n"] for row in rows]
+                lattice = [row["error_map"][f"{score}_n"] for row in rows]
                 figures[f"{kind}.random_{score}"] = figure("N", drawn, own, summary)
                 figures[f"{kind}.map_{score}"] = figure("N", lattice, own, summary)
             step_times(figures, kind, rows, own)
@@ -80,10 +80,10 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
     """All controllers from streaming surrogates of the tank in the tank."""
     kinds = ("gaits", "single", "grid", "single-ppo", "grid-ppo")
     ways = {
-        "tank": "--moving step",
+        "tank": "--moving",
         "tank-feedback": "--trim",
         "perturbed": "--randomize 0.15 --repeats 20",
-        "perturbed-feedback": "--randomize 0.15 --repeats 20 --trim --moving step",
+        "perturbed-feedback": "--randomize 0.15 --repeats 20 --trim --moving",
     }
     return _in_tank(
         "Controllers from streaming surrogates in the tank",
@@ -248,7 +248,7 @@ def choices(seeds: Sequence[int]) -> Part:
         (row,) = work.evaluations([judged.name])
         figures["coarse-gaits.error"] = figure("N", [pair(row["mean"])], (0,))
         for score in ("mean", "worst"):
-            drawn = [pair(row["random"], f"{score}_n")]
+            drawn = [row["random"][f"{score}_n"]]
             figures[f"coarse-gaits.random_{score}"] = figure("N", drawn, (0,), score)
         step_times(figures, "coarse-gaits", [row], (0,))
         return figures
@@ -265,7 +265,7 @@ def whole_map(seeds: Sequence[int]) -> Part:
         figures = {"map_s": work.spent([[gaits.name]], (0,))}
         (row,) = work.evaluations([judged.name])
         for score in ("mean", "worst"):
-            drawn = [pair(row["random"], f"{score}_n")]
+            drawn = [row["random"][f"{score}_n"]]
             figures[f"gaits.random_{score}"] = figure("N", drawn, (0,), score)
         return figures
 
@@ -295,7 +295,7 @@ def faster(seeds: Sequence[int]) -> Part:
         ]
         for clock in CLOCKS
     }
-    options = "--repeats 1 --moving step"
+    options = "--repeats 1 --moving"
     judged = {
         clock: [evaluate(each, "tank", "judged-tank", options, 1) for each in those]
         for clock, those in trained.items()

@@ -1,15 +1,10 @@
-"""How softfin was installed, which extras are present, and the command that adds an extra. Standard
-library only."""
+"""Parts of softfin that are installed, and the command that adds an extra. Standard library
+only."""
 
 import importlib.metadata
-import json
 import re
-import sys
-from urllib.parse import unquote, urlparse
 
-from softfin.core.json_object import JsonObject
-
-EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3", "serial")
+EXTRAS = ("learn", "emulation", "onnx", "ros2", "ray", "sb3", "serial")
 """Optional parts of softfin, as in pyproject.toml; `learn` simulates, trains and draws."""
 
 DISTRIBUTIONS = {
@@ -44,11 +39,6 @@ def extra_requirements(extra: str | None) -> list[str]:
     return names
 
 
-def missing_from(extra: str | None) -> list[str]:
-    """Return the missing distributions of an extra, or of softfin itself."""
-    return [name for name in extra_requirements(extra) if installed_version(name) is None]
-
-
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
     """Return the message for a missing module, with the fix; None if softfin does not require the
     module."""
@@ -57,13 +47,8 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
     parts = [extra for extra in (None, *EXTRAS) if distribution in extra_requirements(extra)]
     if not parts:
         return None
-    if (version := installed_version(distribution)) is not None:
-        return (
-            f"missing {error.name}, although {distribution} {version} is installed; reinstall "
-            f"{distribution}"
-        )
-    if parts[0] is None:
-        return f"missing {error.name}, which every command requires; reinstall softfin"
+    if parts[0] is None or installed_version(distribution) is not None:
+        return f"missing {error.name}; reinstall {distribution}"
     return (
         f"missing {error.name} from the extra {parts[0]!r}; to install it, run "
         f"{how_to_add(parts[0])}"
@@ -71,34 +56,5 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
 
 
 def how_to_add(extra: str) -> str:
-    """Return the command that adds an extra to this installation, from the same wheel, folder or
-    commit."""
-    source = origin()
-    install = "pip install"
-    if installer() == "uv":
-        # Environments created by uv contain no pip.
-        install = f"uv pip install --python {sys.executable}"
-    if source is None:
-        # softfin is not published yet: by name alone, pip would find nothing, or somebody else's
-        # package.
-        wheel = f"dist/softfin-{installed_version('softfin')}-py3-none-any.whl"
-        return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
-    url = source["url"]
-    vcs = source.get("vcs_info")
-    if source.get("dir_info", {}).get("editable"):
-        return f'{install} -e "{unquote(urlparse(url).path)}[{extra}]"'
-    if vcs is not None:
-        url = f"{vcs['vcs']}+{url}@{vcs['commit_id']}"
-    return f'{install} "softfin[{extra}] @ {url}"'
-
-
-def installer() -> str:
-    """Return the program that installed softfin, such as pip or uv."""
-    return (importlib.metadata.distribution("softfin").read_text("INSTALLER") or "pip").strip()
-
-
-def origin() -> JsonObject | None:
-    """Return the wheel, folder or repository from which softfin was installed (PEP 610); None if
-    unknown."""
-    text = importlib.metadata.distribution("softfin").read_text("direct_url.json")
-    return json.loads(text) if text else None
+    """Return the command that adds an extra to this installation; softfin itself stays as it is."""
+    return f'pip install "softfin[{extra}]"'

@@ -81,7 +81,6 @@ SLIPS: list[tuple[list[str], str]] = [
         "--bag a.txt: must end in .mcap",
     ),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
-    (["bag", "convert", "no.mcap"], "missing required --out FILE;"),
     (["doctor", "--rig", "no.yaml"], "no.yaml: cannot be read"),
     (["monitor", "no.mcap"], "no.mcap: no such file or folder; use a bag"),
 ]

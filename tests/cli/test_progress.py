@@ -3,7 +3,7 @@ seconds."""
 
 import pytest
 
-from softfin.cli.common import PACE_S, ProgressLines
+from softfin.cli.output import PACE_S, ProgressLines
 
 
 @pytest.fixture

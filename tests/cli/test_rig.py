@@ -8,9 +8,9 @@ import pytest
 import softfin
 from softfin.cli import main
 from softfin.core.errors import RunError
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.config import load_rig
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import SafetyConfig
@@ -39,7 +39,7 @@ def test_a_rig_is_checked_without_moving(file, emulated, capsys):
     main(["rig", "check", "--rig", file, "--json"])
     rows = found(capsys)
     # The simple fin of the tests is given limits of the current that its drive never reaches.
-    drive_rows = ["drive", "safety", "own stop", "angle", "zero"]
+    drive_rows = ["drive", "safety", "own stop", "stop in motion", "angle", "zero"]
     sensor_rows = ["force sensor", "force at rest", "force zero"]
     assert list(rows) == ["rig file", "disk", *drive_rows, *sensor_rows, "100 Hz loop", "readings"]
     for what in ("rig file", "force sensor", "force at rest", "drive", "own stop", "angle", "zero"):
@@ -179,6 +179,7 @@ def test_zeroing_the_force_needs_no_arm(file, capsys):
     }
 
 
+@pytest.mark.real_time
 def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
     with Terminal(["rig", "emulate", "--real-time"], tmp_path) as terminal:
         terminal.wait_for("pages at http://127.0.0.1:")

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from softfin.cli import driving
-from softfin.cli.common import Armed, progress
+from softfin.cli.common import Armed
+from softfin.cli.output import progress
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.rig.config import RigConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from softfin.cli import main
-from softfin.cli.driving import listen_on_terminal
+from softfin.rig.arming import listen_on_terminal
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
@@ -146,6 +146,7 @@ def started(terminal):
 LIVE = ("--reference=1,-1", "--arm", "--bag", "a.mcap")
 
 
+@pytest.mark.real_time
 def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
     controller, elsewhere, tmp_path
 ):
@@ -166,6 +167,7 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
     assert events_of(tmp_path / "a.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
 
 
+@pytest.mark.real_time
 def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(
     controller, elsewhere, tmp_path
 ):
@@ -178,6 +180,7 @@ def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(
     still(elsewhere)
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("name", ["SIGINT", "SIGHUP"])
 def test_signals_stop_the_fin(name, controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
@@ -192,6 +195,7 @@ def test_signals_stop_the_fin(name, controller, elsewhere, tmp_path):
     assert "stopped: emergency_stop" in events_of(tmp_path / "a.mcap")[-1]
 
 
+@pytest.mark.real_time
 def test_a_word_that_was_typed_before_the_question_is_no_answer(controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         terminal.type("move\n")
@@ -202,6 +206,7 @@ def test_a_word_that_was_typed_before_the_question_is_no_answer(controller, else
     assert elsewhere.fin.now().angle == 0.0
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("answer", ["no\n", None])
 def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
@@ -282,7 +287,7 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant,
 
 
 def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):
-    monkeypatch.setattr("softfin.cli.driving.on_terminal", lambda: True)
+    monkeypatch.setattr("softfin.rig.arming.on_terminal", lambda: True)
     monkeypatch.setattr(
         "softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal")
     )

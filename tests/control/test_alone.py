@@ -24,7 +24,6 @@ sys.meta_path.insert(0, Refusing())
 import softfin.cli.driving
 import softfin.cli.rig
 import softfin.cli.doctor
-import softfin.rig.monitor.terminal
 import softfin.rig.monitor.web
 import softfin.rig.rig
 import softfin.storage.bag.recovery

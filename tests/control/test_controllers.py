@@ -3,7 +3,6 @@ come back from disk."""
 
 import json
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.grid import GridStep
 from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.errors import ArtifactError, CoverageError
+from softfin.core.errors import CoverageError
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
@@ -38,10 +37,8 @@ from tests.plants import AnalyticFin
 SIZE = PolicyConfig(units=8, width=8)
 WIDE = Reachable(np.array([2, 0], np.float32), np.full(32, 4, np.float32))
 """A fin that can produce all of the paper's references."""
-LOG = [
-    {"step": 480, "reward": -2.0},
-    {"step": 960, "reward": -1.0, "score_x_n": 0.2, "score_y_n": 0.3},
-]
+SCORED = {"step": 960, "reward": -1.0, "score_x_n": 0.2, "score_y_n": 0.3}
+LOG = [{"step": 480, "reward": -2.0}, SCORED]
 
 
 def untrained(config: TrainConfig) -> TrainedPolicies:
@@ -132,15 +129,9 @@ def test_without_a_switch_the_memory_goes_on() -> None:
 
 
 def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
-    with pytest.raises(
-        CoverageError,
-        match=r"\(3, 2\) N: 0.71 N outside the nearest of 6 cells \(x 1.5 .. 2.5, y 0.5",
-    ):
+    with pytest.raises(CoverageError, match=r"0\.71 N .* 6 cells \(x 1\.5 \.\. 2\.5, y 0\.5"):
         controller_of(GRID_RUN).check((3.0, 2.0))
-    with pytest.raises(
-        CoverageError,
-        match=r"\(5, 0\) N: 1.5 N outside the range that .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)",
-    ):
+    with pytest.raises(CoverageError, match=r"1\.5 N .* \(x 0\.5 \.\. 3\.5, y -1\.5 \.\. 1\.5"):
         controller_of(SINGLE_RUN).check((5.0, 0.0))
 
 
@@ -168,70 +159,8 @@ def test_the_folder_describes_itself(run: TrainedPolicies, tmp_path: Path) -> No
     assert description["controller"] == run.config.controller
     assert description["provenance"] == {"seed": 5}
     assert len(description["scores"]) == len(run.cells) * run.config.lattice**2
-    assert description["scores"][0]["error_n"] == [0.25, 0.25]
-    assert description["scores"][0]["tracked_reference_n"] == pytest.approx(
-        description["scores"][0]["reference_n"]
-    )
+    first = description["scores"][0]
+    assert first["error_n"] == [0.25, 0.25]
+    assert first["tracked_reference_n"] == pytest.approx(first["reference_n"])
     assert description["configuration"]["steps"] == run.config.steps
-    assert (tmp_path / "c" / "training" / "learning.svg").is_file()
-
-
-@pytest.mark.parametrize(
-    ("harm", "message"),
-    [
-        (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
-        (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-        (lambda f: (f / "controller.json").write_text("{"), "cannot be read as JSON"),
-        (
-            lambda f: _edit(f, limits={"angle_min": 0}),
-            "controller.json: limits: angle_min_rad is missing",
-        ),
-        (
-            lambda f: _edit(f, task={"past_actions": -1}),
-            "controller.json: past_actions is -1: Input should be greater",
-        ),
-        (
-            lambda f: _edit(f, task={"past_actions": 5}),
-            r"net.lstm.kernel has shape .*; the configuration requires \(15",
-        ),
-        (lambda f: _edit(f, cells=[]), "cells: got 0; a single controller must have one"),
-        (
-            lambda f: _edit(f, controller="neither"),
-            "controller is 'neither', must be one of single, grid, gaits",
-        ),
-        (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
-        (
-            lambda f: _drop(f, "format"),
-            "format is 1, written by an older softfin; this softfin reads 3; map or train again",
-        ),
-        (lambda f: _drop(f, "clock"), "clock is missing"),
-        (
-            lambda f: _drop(f, "cells"),
-            "controller.json: cells is missing; copy the folder again, or map or train again",
-        ),
-    ],
-)
-def test_a_damaged_folder_is_refused(
-    harm: Callable[[Path], Any], message: str, tmp_path: Path
-) -> None:
-    save_policies(tmp_path / "c", SINGLE_RUN, {}, {})
-    harm(tmp_path / "c")
-    with pytest.raises(ArtifactError, match=message):
-        load_controller(tmp_path / "c")
-
-
-def _edit(folder: Path, **changes: Any) -> None:
-    file = folder / "controller.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
-
-
-def _drop(folder: Path, name: str) -> None:
-    file = folder / "controller.json"
-    description = json.loads(file.read_text())
-    del description[name]
-    file.write_text(json.dumps(description))
-
-
-def test_another_folder_is_no_controller(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match=r"not a controller: it contains no controller\.json"):
-        load_controller(tmp_path)
+    assert (tmp_path / "c" / "training" / "learning.png").is_file()

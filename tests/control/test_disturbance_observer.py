@@ -10,11 +10,9 @@ import pytest
 from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, Measured
-from softfin.control.disturbance_observer import (
-    DisturbanceObserver,
-    DisturbanceObserverConfig,
-    ObserverForces,
-)
+from softfin.control.disturbance_observer import DisturbanceObserver as Observer
+from softfin.control.disturbance_observer import DisturbanceObserverConfig as Config
+from softfin.control.disturbance_observer import ObserverForces
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
@@ -85,7 +83,7 @@ def still(count: int, force: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
     return np.tile(force, (count, 1))
 
 
-OBSERVED = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0))
+OBSERVED = Observer(Carrier(), Config(lag_actions=0))
 
 
 def test_a_constant_bias_is_taken_off_and_stays_without_the_loop() -> None:
@@ -97,16 +95,16 @@ def test_a_constant_bias_is_taken_off_and_stays_without_the_loop() -> None:
 
 
 def test_without_drift_the_whole_of_a_constant_bias_is_taken_off() -> None:
-    trusting = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0, drift_n=0.0))
+    trusting = Observer(Carrier(), Config(lag_actions=0, drift_n=0.0))
     trimmed, _ = forces(trusting, still(200))
     np.testing.assert_allclose(window(trimmed, 200) - 1, 0, atol=1e-3)
 
 
 def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     """Against the textbook's matrices, with a measurement of variance 6 noise^2 a action."""
-    config = DisturbanceObserverConfig(lag_actions=0)
+    config = Config(lag_actions=0)
     newtons = ObserverForces()
-    _, states = forces(DisturbanceObserver(Carrier(), config), still(60), ripple=0.0)
+    _, states = forces(Observer(Carrier(), config), still(60), ripple=0.0)
     kept = np.exp(-1 / (3 * 2 * config.drift_s))
     transition = np.diag([1.0, kept])
     process = np.diag([0.0, (1 - kept**2) * 2 * newtons.drift_n**2])
@@ -116,7 +114,7 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     for action in range(60):
         estimate = transition @ estimate
         covariance = transition @ covariance @ transition.T + process
-        if action >= DisturbanceObserver(Carrier(), config).settle_actions:
+        if action >= Observer(Carrier(), config).settle_actions:
             total = sensed @ covariance @ sensed.T + 6 * newtons.noise_n**2
             gain = covariance @ sensed.T / total
             estimate = estimate + gain @ (np.array([BIAS]) - sensed @ estimate)
@@ -128,8 +126,8 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
 def test_the_variance_of_the_drift_is_that_of_a_zeroed_sensor() -> None:
     """Of w(t) - w(0), where w is a stationary Ornstein-Uhlenbeck process: 2 s^2 (1 - exp(-t /
     tau))."""
-    config = DisturbanceObserverConfig(settle_actions=1000)
-    _, states = forces(DisturbanceObserver(Carrier(), config), still(900))
+    config = Config(settle_actions=1000)
+    _, states = forces(Observer(Carrier(), config), still(900))
     time_s = np.arange(1, 901) / 3
     expected = 2 * ObserverForces().drift_n ** 2 * (1 - np.exp(-time_s / config.drift_s))
     np.testing.assert_allclose(states.covariance[:, 2], expected, rtol=1e-3)
@@ -137,8 +135,8 @@ def test_the_variance_of_the_drift_is_that_of_a_zeroed_sensor() -> None:
 
 def test_the_variance_of_the_bias_grows_with_the_distance_that_the_reference_moves() -> None:
     """As much in ten small steps as in one large step."""
-    config = DisturbanceObserverConfig(settle_actions=1000)
-    observer = DisturbanceObserver(Carrier(), config)
+    config = Config(settle_actions=1000)
+    observer = Observer(Carrier(), config)
     small = np.linspace(1, 2, 11)[:, None] * np.ones(2)
     large = np.where(np.arange(11) > 0, 2.0, 1.0)[:, None] * np.ones(2)
     newtons = ObserverForces()
@@ -178,8 +176,8 @@ def test_drift_of_the_sensor_is_not_chased() -> None:
     """The true force is nearer to the reference than with an observer that trusts the sensor."""
     errors = {}
     for drift_n in (0.05, 0.0):
-        config = DisturbanceObserverConfig(lag_actions=0, drift_n=drift_n)
-        observer = DisturbanceObserver(Carrier(), config)
+        config = Config(lag_actions=0, drift_n=drift_n)
+        observer = Observer(Carrier(), config)
         true_errors = []
         for seed in range(12):
             drift = drifting(seed, 180)
@@ -205,7 +203,7 @@ def test_the_ripple_of_a_gait_is_not_taken_for_a_bias() -> None:
 
 
 def test_nothing_is_trimmed_before_the_fin_has_settled() -> None:
-    late = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(settle_actions=20))
+    late = Observer(Carrier(), Config(settle_actions=20))
     _, states = forces(late, still(25))
     assert (states.bias[:20] == 0).all()
     assert (states.bias[20] != 0).all()
@@ -215,9 +213,7 @@ def test_nothing_is_trimmed_before_the_fin_has_settled() -> None:
 def test_a_step_of_the_reference_does_not_disturb_the_bias(lag: int) -> None:
     """The window of what was asked is as old as that of the forces; a fin that follows late is what
     `lag` is for."""
-    controller = DisturbanceObserver(
-        Late(Carrier(), lag), DisturbanceObserverConfig(lag_actions=lag, settle_actions=9)
-    )
+    controller = Observer(Late(Carrier(), lag), Config(lag_actions=lag, settle_actions=9))
     steps = np.concatenate([still(50), still(50, (2.5, 0.0))])
     _, states = forces(controller, steps, ripple=0.0)
     # The correction moves the inner reference, too; once it hardly changes any more, little is left
@@ -228,7 +224,7 @@ def test_a_step_of_the_reference_does_not_disturb_the_bias(lag: int) -> None:
 
 
 def test_a_lag_that_is_not_known_of_disturbs_the_bias() -> None:
-    controller = DisturbanceObserver(Late(Carrier(), 3), DisturbanceObserverConfig(lag_actions=0))
+    controller = Observer(Late(Carrier(), 3), Config(lag_actions=0))
     _, states = forces(controller, np.concatenate([still(50), still(50, (2.5, 0.0))]), ripple=0.0)
     assert np.abs(states.bias[50:] - np.array(BIAS)).max() > 0.1
 
@@ -238,9 +234,7 @@ def test_while_what_is_asked_moves_little_is_learnt() -> None:
     swinging = 1 + np.sin(2 * np.pi * np.arange(90) / 30)[:, None] * np.ones(2)
     worst = {}
     for still_n in (0.05, 99.0):
-        controller = DisturbanceObserver(
-            Late(Carrier(), 2), DisturbanceObserverConfig(lag_actions=0, still_n=still_n)
-        )
+        controller = Observer(Late(Carrier(), 2), Config(lag_actions=0, still_n=still_n))
         worst[still_n] = np.abs(forces(controller, swinging, (0, 0), ripple=0.0)[1].bias).max()
     assert worst[0.05] < 0.02 < 0.2 < worst[99.0]
 
@@ -273,7 +267,7 @@ REGION = Reachable(np.zeros(2, np.float32), np.full(64, 2, np.float32))
 def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
     """The fin makes no more than 2 N in x: after 60 s at the edge, an easy reference is held at
     once."""
-    controller = DisturbanceObserver(Carrier(REGION), DisturbanceObserverConfig(lag_actions=0))
+    controller = Observer(Carrier(REGION), Config(lag_actions=0))
     steps = np.concatenate([still(180, (2.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(-0.3, 0.0))
     asked = np.asarray(states.tracked)[:, 0]
@@ -284,9 +278,7 @@ def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
 
 
 def test_where_the_reach_is_not_known_the_trim_ends_at_its_limit() -> None:
-    controller = DisturbanceObserver(
-        Carrier(), DisturbanceObserverConfig(lag_actions=0, limit_n=0.5)
-    )
+    controller = Observer(Carrier(), Config(lag_actions=0, limit_n=0.5))
     steps = np.concatenate([still(180, (3.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(0, 0), most_n=2.0)
     assert np.abs(states.bias).max() == pytest.approx(0.5)
@@ -294,7 +286,7 @@ def test_where_the_reach_is_not_known_the_trim_ends_at_its_limit() -> None:
 
 
 def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
-    controller = DisturbanceObserver(Carrier(REGION), DisturbanceObserverConfig())
+    controller = Observer(Carrier(REGION), Config())
     assert isinstance(controller, Controller)
     assert controller.reachable is REGION
     assert controller.cells == (Cell(low=(-1, -1), high=(3, 3)),)
@@ -304,18 +296,15 @@ def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
 
 
 def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
-    with pytest.raises(
-        ConfigurationError,
-        match=r"settle_actions = 8 with lag_actions = 4: .*set settle_actions to 10",
-    ):
-        DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=4, settle_actions=8))
-    late = DisturbanceObserverConfig(lag_actions=4, settle_actions=10)
-    assert DisturbanceObserver(Carrier(), late).settle_actions == 10
-    assert DisturbanceObserver(Carrier()).settle_actions == 8
+    with pytest.raises(ConfigurationError, match=r"settle_actions = 8 .* to 10"):
+        Observer(Carrier(), Config(lag_actions=4, settle_actions=8))
+    late = Config(lag_actions=4, settle_actions=10)
+    assert Observer(Carrier(), late).settle_actions == 10
+    assert Observer(Carrier()).settle_actions == 8
 
 
 def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:
-    controller = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0))
+    controller = Observer(Carrier(), Config(lag_actions=0))
     _, states = forces(controller, still(180, (3.0, 1.0)), bias=(-0.3, 0.0))
     assert np.asarray(states.tracked)[:, 0, 0].max() == 3.0
     np.testing.assert_allclose(states.bias[-1], [-0.3, 0.0], atol=5e-3)
@@ -345,18 +334,14 @@ L_SHAPE = (
 def test_the_inner_reference_stays_in_the_cells_where_their_box_has_gaps(
     region: Reachable | None, bias: tuple[float, float], reference: tuple[float, float]
 ) -> None:
-    controller = DisturbanceObserver(
-        Carrier(region, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
-    )
+    controller = Observer(Carrier(region, L_SHAPE), Config(lag_actions=0))
     _, states = forces(controller, still(60, reference), bias=bias, ripple=0.0)
     for inner in np.asarray(states.tracked)[:, 0]:
         assert min(cell.distance(tuple(map(float, inner))) for cell in L_SHAPE) < 1e-5
 
 
 def test_a_correction_may_lead_into_another_cell() -> None:
-    controller = DisturbanceObserver(
-        Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
-    )
+    controller = Observer(Carrier(None, L_SHAPE), Config(lag_actions=0))
     force, states = forces(controller, still(60, (0.9, 0.5)), bias=(-0.3, 0.0), ripple=0.0)
     assert float(states.tracked[-1, 0, 0]) > 1.15
     np.testing.assert_allclose(force[-1], (0.9, 0.5), atol=0.02)
@@ -364,9 +349,7 @@ def test_a_correction_may_lead_into_another_cell() -> None:
 
 def test_with_numpy_it_does_what_it_does_with_jax() -> None:
     """On a robot, where a reference is a tuple and forces are NumPy's."""
-    controller = DisturbanceObserver(
-        Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
-    )
+    controller = Observer(Carrier(None, L_SHAPE), Config(lag_actions=0))
     force, states = forces(controller, still(40, (0.9, 0.9)), bias=(-0.4, 0.1))
     state = controller.init()
     measured = np.zeros(2)

@@ -30,9 +30,7 @@ def commands(references: Any) -> np.ndarray:
 
 
 def expected(actions: Any) -> np.ndarray:
-    return np.stack(
-        [jnp.stack(action_to_command(PAPER_LIMITS, action)) for action in jnp.asarray(actions)]
-    )
+    return np.stack([action_to_command(PAPER_LIMITS, action) for action in jnp.asarray(actions)])
 
 
 def test_it_meets_the_contract() -> None:
@@ -56,10 +54,7 @@ def test_the_phase_goes_on_when_the_reference_moves() -> None:
 def test_it_covers_its_lattice_and_no_more() -> None:
     CONTROLLER.check((0.5, 2.0))
     assert CONTROLLER.cells[0].high == (2.5, 2.0)
-    with pytest.raises(
-        CoverageError,
-        match=r"\(3, 0\) N: 0.5 N outside the range that this controller was trained for",
-    ):
+    with pytest.raises(CoverageError, match=r"\(3, 0\) N: 0\.5 N outside"):
         CONTROLLER.check((3.0, 0.0))
 
 
@@ -84,11 +79,11 @@ def test_a_map_comes_back_from_its_folder_as_a_controller(tmp_path: Path) -> Non
 
 
 def test_the_folder_says_what_each_gait_makes(tmp_path: Path) -> None:
-    folder = save_known(tmp_path / "gaits", star_shape={"held_outside": 0.0})
+    folder = save_known(tmp_path / "gaits", more={"a": 1})
     description = json.loads((folder / "controller.json").read_text())
     assert description["controller"] == "gaits"
     assert len(description["scores"]) == 12
     assert description["scores"][5]["reference_n"] == pytest.approx([1.5, 0.0])
     assert description["scores"][5]["missed_n"] == pytest.approx(0.01 * 2**0.5, abs=1e-4)
     assert description["provenance"] == {"plant": "mine"}
-    assert description["star_shape"] == {"held_outside": 0.0}
+    assert description["more"] == {"a": 1}

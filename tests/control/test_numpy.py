@@ -98,10 +98,8 @@ def test_it_says_what_it_is(kind: str, folders: dict[str, Path]) -> None:
 
 
 def test_origins_are_equal_where_they_say_the_same(folders: dict[str, Path]) -> None:
-    single, again, gaits = (
-        load_controller(folders[kind]).artifact for kind in ("single", "single", "gaits")
-    )
-    assert single == again
+    single, gaits = (load_controller(folders[kind]).artifact for kind in ("single", "gaits"))
+    assert single == load_controller(folders["single"]).artifact
     assert single != gaits
     assert single != dataclasses.replace(single, weights_sha256="0" * 64)
 
@@ -171,9 +169,7 @@ def test_what_is_no_measurement_is_refused(number: float, folders: dict[str, Pat
         (0.0, (0.0, number), (1.0, 0.0)),
         (0.0, (0.0, 0.0), (number, 0.0)),
     ):
-        with pytest.raises(
-            RunError, match="inputs must be finite numbers; check the drive and the sensor"
-        ):
+        with pytest.raises(RunError, match="inputs must be finite"):
             controller.act(controller.init(), Measured(angle, force), reference)
 
 
@@ -182,16 +178,9 @@ def test_numpy_works_out_one_of_two_choices() -> None:
 
 
 def test_it_knows_what_its_surrogate_learnt_from_and_of_which_fin(tmp_path: Path) -> None:
-    learnt = {
-        "training_range": {
-            "angle_rad": [-1.5, 1.5],
-            "velocity_rad_s": None,
-            "force_x_n": [-2, 9],
-            "force_y_n": None,
-        },
-        "fin": "blue",
-    }
-    controller = load_controller(save_known(tmp_path / "g", **learnt))
+    learnt = {"angle_rad": [-1.5, 1.5], "force_x_n": [-2, 9]}
+    learnt |= dict.fromkeys(("velocity_rad_s", "force_y_n"))
+    controller = load_controller(save_known(tmp_path / "g", training_range=learnt, fin="blue"))
     assert controller.artifact.training_range == ((-1.5, 1.5), None, (-2, 9), None)
     assert controller.artifact.fin == "blue"
 
@@ -202,11 +191,9 @@ def test_a_folder_from_before_that_was_written_knows_neither(
     for name in ("controller.json", "weights.safetensors"):
         (tmp_path / name).write_bytes((folders["grid"] / name).read_bytes())
     file = tmp_path / "controller.json"
-    described = {
-        key: x
-        for key, x in json.loads(file.read_text()).items()
-        if key not in ("training_range", "fin")
-    }
+    described = json.loads(file.read_text())
+    for name in ("training_range", "fin"):
+        described.pop(name, None)
     file.write_text(json.dumps(described))
     assert load_controller(tmp_path).artifact.training_range is None
     assert load_controller(tmp_path).artifact.fin is None

@@ -9,7 +9,6 @@ import pytest
 import softfin.cli
 from softfin.core import choices
 from softfin.data.importing.names import UNITS
-from softfin.evaluation.moving_references import SIGNALS
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.stages.reproduce_config import PRESETS as REPRODUCTIONS
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
@@ -22,7 +21,6 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
     [
         (choices.ReproducePreset, REPRODUCTIONS),
         (choices.CalibratePreset, CALIBRATIONS),
-        (choices.MovingReference, SIGNALS),
         (choices.TimeUnit, UNITS["time"]),
         (choices.ForceUnit, UNITS["force"]),
         (choices.PolicyLayout, TRAIN_PRESETS),

@@ -129,32 +129,6 @@ def test_of_several_configurations_the_one_that_is_meant_is_explained(change, wo
         ReproduceConfig().changed([change])
 
 
-def nested_aliases(levels: int, template: str) -> str:
-    lines = ["a0: &a0 {k0: 1, k1: 2}"]
-    for level in range(1, levels):
-        aliases = ", ".join([f"*a{level - 1}"] * 9)
-        lines.append(f"a{level}: &a{level} {template.format(aliases)}")
-    return "\n".join(lines)
-
-
-@pytest.mark.parametrize("template", ["[{}]", "{{<<: [{}]}}"], ids=["sequences", "merged mappings"])
-def test_a_short_file_of_nested_aliases_is_refused_at_once(template, tmp_path):
-    file = tmp_path / "bomb.yaml"
-    # 9 to the power of 11 values: a walk over them would not end.
-    file.write_text(nested_aliases(12, template))
-    with pytest.raises(
-        ConfigurationError, match=r"bomb.yaml: not valid YAML \(more than 100,000 values with"
-    ):
-        read_yaml(file)
-
-
-def test_a_value_that_contains_itself_is_refused(tmp_path):
-    file = tmp_path / "loop.yaml"
-    file.write_text("a: &a [*a]")
-    with pytest.raises(ConfigurationError, match="use fewer aliases"):
-        read_yaml(file)
-
-
 def test_some_aliases_are_fine_and_an_empty_file_is_empty(tmp_path):
     file = tmp_path / "good.yaml"
     file.write_text("a: &a {k: 1}\nb: {<<: *a, l: [*a, *a]}\n")

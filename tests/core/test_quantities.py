@@ -45,31 +45,24 @@ DESCRIBED = PAPER_LIMITS.to_dict()
 
 def test_limits_come_back_as_they_were_described():
     assert Limits.of(DESCRIBED) == PAPER_LIMITS
-    assert (
-        Limits.of(
-            {**DESCRIBED, "angle_min_rad": -2 * math.pi, "velocity_max_rad_s": 50}
-        ).velocity_max
-        == 50
-    )
+    widest = {"angle_min_rad": -2 * math.pi, "velocity_max_rad_s": 50}
+    assert Limits.of(DESCRIBED | widest).velocity_max == 50
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (
-            {"angle_max_rad": 100.0},
-            "limits: angle_max_rad is 100; a fin's limits must be finite, with -6.283 <= angle_min",
-        ),
-        ({"velocity_max_rad_s": 9000.0}, "velocity_max_rad_s is 9000; .* velocity_max <= 50 rad/s"),
+        ({"angle_max_rad": 100.0}, "limits: angle_max_rad is 100"),
+        ({"velocity_max_rad_s": 9000.0}, "velocity_max_rad_s is 9000; .* 50 rad/s"),
         ({"velocity_min_rad_s": -1}, "velocity_min_rad_s is -1"),
         ({"angle_min_rad": math.nan}, "angle_min_rad is nan"),
         ({"velocity_max_rad_s": math.inf}, "velocity_max_rad_s is inf"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.5708"),
         ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
-        ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
-        ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
-        ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True; it must be a number"),
-        ({"angle_max_rad": 10**400}, "angle_max_rad is 10{79}; it must be a number"),
+        ({"angle_min_rad": "0"}, "angle_min_rad is '0'"),
+        ({"angle_min_rad": None}, "angle_min_rad is missing"),
+        ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True"),
+        ({"angle_max_rad": 10**400}, "angle_max_rad is 10{79}; "),
     ],
 )
 def test_limits_that_no_fin_has_are_refused_with_what_is_allowed(changes, words):
@@ -96,11 +89,9 @@ def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
 
 
 def log_of_commands(*angles):
-    command = Command(np.array(angles, np.float32), np.full(len(angles), 2.0, np.float32))
-    return Log(
-        command,
-        Reading(*(np.zeros(len(angles), np.float32) for _ in range(3)), np.zeros((len(angles), 2))),
-    )
+    zeros = np.zeros(len(angles), np.float32)
+    command = Command(np.array(angles, np.float32), zeros + 2)
+    return Log(command, Reading(zeros, zeros, zeros, np.zeros((len(angles), 2))))
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,13 @@ def assert_same(one: Log, other: Log, tolerance: float = 0.0) -> None:
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=tolerance), one, other)
 
 
+def check_speeds(log: Log, lag_s: float) -> np.ndarray:
+    speed = (log.command.angle - log.reading.angle) / lag_s
+    expected = np.clip(speed, -log.command.velocity, log.command.velocity)
+    np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
+    return expected
+
+
 def test_a_dataset_holds_the_logs_that_were_asked_for(dataset, config):
     assert (len(dataset.train), len(dataset.test)) == (4, 2)
     for log in build_logs(dataset):
@@ -53,9 +60,7 @@ def test_the_command_of_a_row_shows_first_in_the_reading_of_the_next(dataset):
     """By the equation of the analytic fin: the speed of row k + 1 follows from the angle and the
     command of row k."""
     for log in build_logs(dataset):
-        speed = (log.command.angle - log.reading.angle) / AnalyticFin().lag_s
-        expected = np.clip(speed, -log.command.velocity, log.command.velocity)
-        np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
+        expected = check_speeds(log, AnalyticFin().lag_s)
         assert np.abs(log.reading.velocity[1:] - expected[1:]).max() > 1
 
 
@@ -86,15 +91,10 @@ def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, 
 
 def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
-    stacked = collect_logs(
-        AnalyticFin(),
-        config,
-        tmp_path / "one",
-        test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)],
-    )
-    mixed = collect_logs(
-        AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)]
-    )
+    weak = AnalyticFin(gain=0.1)
+    strong = AnalyticFin(gain=0.9)
+    stacked = collect_logs(AnalyticFin(), config, tmp_path / "one", [weak, strong])
+    mixed = collect_logs(AnalyticFin(), config, tmp_path / "two", [weak, PlainFin(0.9)])
     for one, other in zip(build_logs(stacked), build_logs(mixed), strict=True):
         assert_same(one, other, tolerance=1e-5)
 
@@ -102,17 +102,9 @@ def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
 def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
     plants = [AnalyticFin(lag_s=0.05, noise_n=0.0), AnalyticFin(lag_s=0.5, noise_n=0.0)]
-    fast, slow = (
-        log
-        for log in build_logs(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:]
-    )
-    for log, lag in ((fast, 0.05), (slow, 0.5)):
-        expected = np.clip(
-            (log.command.angle - log.reading.angle) / lag,
-            -log.command.velocity,
-            log.command.velocity,
-        )
-        np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
+    logs = build_logs(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:]
+    for log, lag_s in zip(logs, (0.05, 0.5), strict=True):
+        check_speeds(log, lag_s)
 
 
 def test_progress_grows_to_all_rows(config, tmp_path):
@@ -159,16 +151,13 @@ class Late(PlainFin):
 
 
 def test_a_plant_that_gives_nan_is_named_with_the_row(tmp_path):
-    with pytest.raises(
-        PlantError,
-        match=r"log train/0000, row \d+: the plant's force is nan; every reading must be",
-    ):
+    with pytest.raises(PlantError, match=r"train/0000, row \d+: the plant's force is nan"):
         collect_logs(Broken(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
     assert not any(tmp_path.iterdir())
 
 
 def test_a_plant_whose_clock_is_wrong_is_refused(tmp_path):
-    with pytest.raises(PlantError, match=r"row 0: the plant's time is 0.0033 s, expected 0.01 s"):
+    with pytest.raises(PlantError, match=r"row 0: .* time is 0\.0033 s"):
         collect_logs(Late(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
 
 

@@ -1,5 +1,4 @@
-"""The main job through the command line, small: collect, fit, train, evaluate; and all of it by
-reproduce."""
+"""The main job by `softfin reproduce`, small: collect, fit, map, train, evaluate, report."""
 
 import json
 import signal
@@ -12,26 +11,12 @@ from softfin.cli import main
 from softfin.core.errors import LogError
 from softfin.learning.train import train_policies
 from softfin.stages.reproduce_config import PRESETS
-from softfin.storage.run_directory import TRAINING_LOG
-from tests.staged import FIT, ROWS, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
-from tests.surrogate import small
+from tests.staged import FIT, ROWS
 
 PLANT = "tests.plants:PlainFin"
 LEARNER = {"num_envs": 4, "num_steps": 6, "num_epochs": 2, "num_minibatches": 2}
 TRAIN = {"steps": 48, "num_evaluations": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
 COLLECT = {"logs": 3, "test_logs": 1, "rows": ROWS}
-RECORD = (
-    "collect",
-    "--plant",
-    PLANT,
-    "--logs",
-    "3",
-    "--test-logs",
-    "1",
-    "--rows",
-    str(ROWS),
-    "--out",
-)
 
 
 def run(capsys, *words):
@@ -43,85 +28,6 @@ def run(capsys, *words):
 def write(path, values):
     path.write_text(yaml.safe_dump(values))
     return str(path)
-
-
-def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypatch):
-    dataset = str(tmp_path / "dataset")
-    surrogate = str(tmp_path / "surrogate")
-    made = run(capsys, *RECORD, dataset)
-    assert made["logs"] == 3
-    assert made["rows"] == ROWS
-
-    config = write(tmp_path / "fit.yaml", FIT)
-    fitted = run(capsys, "fit", dataset, "--model", "paper", "--config", config, "--out", surrogate)
-    assert fitted["table_i"]["posnet"]["window"] == small.WINDOW
-    description = json.loads((tmp_path / "surrogate" / "surrogate.json").read_text())
-    assert description["provenance"]["data_hash"] == made["data_hash"]
-    assert (tmp_path / "surrogate" / TRAINING_LOG / "log.jsonl").is_file()
-    words = ("fit", dataset, "--model", "paper", "--config", config, "--out", surrogate)
-    assert run(capsys, *words, "--resume") == fitted
-    with pytest.raises(SystemExit) as stop:
-        main([*words, "--seed", "7", "--resume"])
-    assert stop.value.code == 2
-    assert (
-        "surrogate: belongs to another run (seed was 0 and is 7); use the"
-        in capsys.readouterr().err
-    )
-    assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
-
-    for kind in ("single", "grid"):
-        controller = str(tmp_path / kind)
-        judged = str(tmp_path / f"{kind}-judged")
-        config = write(tmp_path / f"{kind}.yaml", TRAIN)
-        words = (
-            "train",
-            surrogate,
-            "--controller",
-            kind,
-            "--config",
-            config,
-            "--out",
-            controller,
-        )
-        trained = run(capsys, *words)
-        assert (tmp_path / kind / TRAINING_LOG / "learning.svg").is_file()
-        cells = {row["cell"] for row in trained["scores"]}
-        assert len(cells) == 1 if kind == "single" else len(cells) > 1
-        scored = run(
-            capsys,
-            "evaluate",
-            controller,
-            "--plant",
-            PLANT,
-            "--reference=1,0",
-            "--seconds",
-            "3",
-            "--repeats",
-            "2",
-            "--out",
-            judged,
-        )
-        assert scored["references"][0]["reference_n"] == [1, 0]
-        assert scored["references"][0]["x"]["error_n"] >= 0
-        written = json.loads((tmp_path / f"{kind}-judged" / "evaluation.json").read_text())
-        assert written["conditions"]["duration_s"] == 3
-
-    left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
-    assert left_behind == []
-
-
-@pytest.mark.usefixtures("short_search")
-def test_streaming_surrogates_are_fitted(capsys, tmp_path):
-    dataset = str(tmp_path / "dataset")
-    surrogate = str(tmp_path / "surrogate")
-    run(capsys, *RECORD, dataset)
-
-    config = write(tmp_path / "streaming.yaml", STREAMING)
-    fitted = run(capsys, "fit", dataset, "--config", config, "--out", surrogate)
-    assert fitted["model"] == "streaming"
-    assert fitted["table_i"]["force_free_running"]["physical"]["rmse"] > 0
-    assert (tmp_path / "surrogate" / TRAINING_LOG / "log.jsonl").is_file()
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
 def reproduction(tmp_path):

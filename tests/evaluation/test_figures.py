@@ -100,7 +100,7 @@ def test_colours_differ_in_grey_too():
 
 def test_drawing_leaves_no_global_state(evaluation, tmp_path):
     before = dict(rcParams)
-    save_figure(experiments_figure(evaluation.recording), tmp_path, "figure")
+    save_figure(experiments_figure(evaluation.recording), tmp_path / "figure.png")
     assert dict(rcParams) == before
 
 
@@ -109,7 +109,7 @@ def test_the_same_figure_gives_the_same_file(tmp_path, suffix):
     # Not of polar axes: Matplotlib names their clip paths by addresses in memory.
     for name in "ab":
         figure = learning_figure({"a": [([0, 1], [0, 1])]}, "reward")
-        save_figure(figure, tmp_path, name, (suffix,))
+        save_figure(figure, tmp_path / f"{name}.{suffix}")
     one, other = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
     assert one == other
     assert one.startswith({"svg": b"<?xml", "png": b"\x89PNG"}[suffix])

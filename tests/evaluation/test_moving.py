@@ -1,5 +1,4 @@
 import json
-import re
 
 import jax
 import numpy as np
@@ -8,26 +7,29 @@ import pytest
 from softfin.control.controller import Controller
 from softfin.core.errors import CoverageError, PlantError
 from softfin.core.quantities import Command
-from softfin.evaluation.evaluate import EvaluateConfig, score_controller, write_evaluation
+from softfin.evaluation.evaluate import (
+    EvaluateConfig,
+    score_controller,
+    together,
+    write_evaluation,
+)
 from softfin.evaluation.experiment import run, run_together
 from softfin.evaluation.figures import moving_figure
 from softfin.evaluation.moving_references import (
-    SIGNALS,
+    STEP_SECONDS,
     MovingPlan,
-    _row,
-    moving_signals,
-    moving_together,
+    default_steps,
     plan_moving,
 )
 from softfin.evaluation.range_errors import controller_range
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
-from softfin.task.signals import Ramp, Recorded, Step
+from softfin.task.signals import Recorded, step
 from tests.evaluation.test_evaluate import Exploding, Untouched
 from tests.plants import AnalyticFin, Flapper
 
 KEYS = jax.random.split(jax.random.key(0), 2)
-STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=3)
+STEP = step((1, 0), (2, 0), 3)
 
 
 class Covering(Flapper):
@@ -45,7 +47,7 @@ class Covering(Flapper):
 
 @pytest.fixture(scope="module")
 def moving():
-    plan = MovingPlan.of(Flapper(), (STEP, Step(start_n=(2, 1), to_n=(2, 1))), 6)
+    plan = MovingPlan.of("steps", Flapper(), (STEP, step((2, 1), (2, 1))), 6)
     return plan.score(run(Covering(), AnalyticFin(), plan.tracked, plan.seconds, KEYS))
 
 
@@ -56,8 +58,8 @@ def test_the_controller_sees_the_reference_when_it_acts(moving):
 
 
 def test_a_step_between_two_actions_is_seen_at_the_second():
-    between = STEP.model_copy(update={"at_s": 3.1})
-    plan = MovingPlan.of(Flapper(), (between,), 6)
+    between = step((1, 0), (2, 0), 3.1)
+    plan = MovingPlan.of("steps", Flapper(), (between,), 6)
     recording = plan.score(
         run(Covering(), AnalyticFin(), plan.tracked, plan.seconds, KEYS)
     ).recording
@@ -80,73 +82,61 @@ def test_references_that_run_side_by_side_make_what_they_make_alone():
         )
 
 
-def test_signals_at_one_seed_each_are_put_together_as_those_of_all_seeds():
-    plan = MovingPlan.of(Flapper(), (STEP,), 6)
-
-    def scored(keys):
-        return plan.score(
-            run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, keys)
-        ).rows
-
+def test_evaluations_are_put_together_with_each_as_one_repetition():
+    stepped = step((1, -1), (2, 0), 3)
+    config = EvaluateConfig(references=((1, 1), (2, 0)), seconds=3, seeds=2, recorded=stepped)
     each = [
-        plan.score(run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, key[None]))
-        for key in KEYS
+        score_controller(Covering(), AnalyticFin(noise_n=0.5), config.changed([f"seed={seed}"]))
+        for seed in (0, 1, 2)
     ]
-    (whole,) = scored(KEYS)
-    (row,) = moving_together(each).rows
-    assert row["x"]["error_seeds_n"] == pytest.approx(whole["x"]["error_seeds_n"], rel=1e-5)
-    assert row["y"]["instantaneous_error_n"] == pytest.approx(
-        whole["y"]["instantaneous_error_n"], rel=1e-5
-    )
-    assert len(row["steps"][0]) == 2
-    assert row["settles"] == whole["settles"]
+    whole = together(each).summary()
+    parts = [evaluation.summary() for evaluation in each]
+    assert whole["conditions"]["seeds"] == 3
+    for rows in (
+        lambda summary: summary["references"][1],
+        lambda summary: summary["mean"],
+        lambda summary: summary["moving"][0],
+    ):
+        own = [rows(summary)["x"]["error_n"] for summary in parts]
+        assert rows(whole)["x"]["error_seeds_n"] == pytest.approx(own)
+        assert rows(whole)["x"]["error_n"] == pytest.approx(np.mean(own))
+    (row,) = whole["moving"]
+    assert row["settling_s"] == [[None]] * 6
+    assert row["settles"] is False
 
 
 def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
-    step, hold = moving.rows
-    assert (step["kind"], step["signal"]["at_s"], step["duration_s"]) == ("step", 3.0, 6.0)
-    assert len(step["steps"]) == 1
-    assert len(step["steps"][0]) == 2
-    assert (step["settles"], step["longest_settling_s"]) == (False, None)
-    assert step["x"]["error_interval_n"] is None
-    assert step["x"]["error_n"] == pytest.approx(np.mean(step["x"]["error_seeds_n"]))
-    assert (hold["steps"], hold["settles"]) == ([], None)
-    # A reference that stays is tracked alike by both measures.
-    assert hold["y"]["error_n"] == pytest.approx(hold["y"]["instantaneous_error_n"])
-    json.dumps(moving.rows, allow_nan=False)
+    stepped, hold = moving.rows()
+    assert (stepped["described"], stepped["duration_s"]) == ("step (1, 0) to (2, 0) N at 3 s", 6)
+    assert stepped["settling_s"] == [[None], [None]]
+    assert (stepped["settles"], stepped["longest_settling_s"]) == (False, None)
+    assert stepped["x"]["error_interval_n"] is None
+    assert stepped["x"]["error_n"] == pytest.approx(np.mean(stepped["x"]["error_seeds_n"]))
+    assert (hold["settling_s"], hold["settles"]) == ([[], []], None)
+    json.dumps(moving.rows(), allow_nan=False)
 
 
-def test_the_instantaneous_error_counts_the_delay_of_the_window():
-    """A force that is its reference, on a ramp of 0.1 N/s: the average over 2 s is 1 s, so 0.1 N,
-    behind it."""
-    ramp = Ramp(start_n=(-0.001, 0.002), to_n=(2, -4), begin_s=0, end_s=20.01)
-    tracked = ramp.sample(2001)
-    row = _row(ramp, tracked, tracked[None].astype(float), [], np.zeros((1, 2)), None, 200)
-    assert row["x"]["instantaneous_error_n"] == pytest.approx(0.1, abs=2e-3)
-    assert row["y"]["instantaneous_error_n"] == pytest.approx(0.2, abs=2e-3)
+def test_the_default_steps_lie_within_the_papers_range_and_its_cells():
+    (plan,) = plan_moving(Covering(), True, None)
+    assert plan.signals == default_steps(PAPER_RANGE)
+    assert plan.signals[0] == step((2, 0), (3, 0))
 
 
-def test_the_default_signals_lie_within_the_papers_range_and_its_cells():
-    for kind in SIGNALS:
-        assert plan_moving(Covering(), [kind], None)[0].signals == moving_signals(kind, PAPER_RANGE)
-    assert moving_signals("step", PAPER_RANGE)[0] == Step(start_n=(2, 0), to_n=(3, 0))
-
-
-def test_the_default_signals_keep_to_another_range():
+def test_the_default_steps_keep_to_another_range():
     class Weak(Covering):
         cells: tuple[Cell, ...] = (Cell(low=(0.1, -0.2), high=(0.5, 0.3)),)
 
-    for plan in plan_moving(Weak(), SIGNALS, None):
-        series = np.concatenate([signal.sample(plan.seconds * 100) for signal in plan.signals])
-        assert series.min(axis=0).tolist() > [0.1, -0.2]
-        assert series.max(axis=0).tolist() < [0.5, 0.3]
+    (plan,) = plan_moving(Weak(), True, None)
+    series = np.concatenate([signal.sample(STEP_SECONDS * 100) for signal in plan.signals])
+    assert series.min(axis=0).tolist() > [0.1, -0.2]
+    assert series.max(axis=0).tolist() < [0.5, 0.3]
 
 
-def test_default_signals_beyond_the_fins_reach_are_brought_to_its_edge():
+def test_default_steps_beyond_the_fins_reach_are_brought_to_its_edge():
     reachable = Reachable(np.float32([2, 0]), np.full(64, 0.5, np.float32))
-    small, both, *_ = moving_signals("step", PAPER_RANGE, reachable)
-    np.testing.assert_allclose([small.start_n, small.to_n], [[2, 0], [2.5, 0]], atol=1e-3)
-    np.testing.assert_allclose(both.start_n, [2 - 0.5**1.5, -(0.5**1.5)], atol=2e-3)
+    small, both, *_ = default_steps(PAPER_RANGE, reachable)
+    np.testing.assert_allclose(small.force_n, [[2, 0], [2.5, 0]], atol=1e-3)
+    np.testing.assert_allclose(both.force_n[0], [2 - 0.5**1.5, -(0.5**1.5)], atol=2e-3)
 
 
 class Weak(Covering):
@@ -160,12 +150,11 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
     config = EvaluateConfig(references=((1, 0),), seconds=3, seeds=1, recorded=recorded)
     summary = score_controller(Weak(), AnalyticFin(), config).summary()
-    assert summary["moving"][0]["replaced_s"] == 3.0
     assert (
         "step (1, 0) to (3, 0) N at 3 s: this fin cannot produce the target force during 3 of 6 s, "
         "starting at 3 s" in summary["warning"]
     )
-    (plan,) = plan_moving(Weak(), [], recorded)
+    (plan,) = plan_moving(Weak(), False, recorded)
     np.testing.assert_allclose(plan.tracked[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
 
 
@@ -189,7 +178,7 @@ def test_the_missed_force_of_a_small_fin_has_more_decimals():
 
     recorded = Recorded(time_s=(0, 3), force_n=((0.05, 0), (0.1234, 0)))
     with pytest.raises(CoverageError, match=r"misses it by up to 0\.0234 N"):
-        plan_moving(Small(), [], recorded, strict=True)
+        list(plan_moving(Small(), False, recorded, strict=True))
 
 
 def test_a_controller_without_cells_has_the_papers_range():
@@ -204,7 +193,7 @@ def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs(
 
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
-    plan = MovingPlan.of(Flapper(), (STEP.model_copy(update={"at_s": 1}),), 3)
+    plan = MovingPlan.of("steps", Flapper(), (step((1, 0), (2, 0), 1),), 3)
     with pytest.raises(
         PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force is not finite"
     ):
@@ -214,18 +203,18 @@ def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_m
 def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path):
     recorded = Recorded(time_s=(0, 3), force_n=((1, 1), (2, 0)))
     config = EvaluateConfig(
-        references=((1, 1),), seconds=3, seeds=2, moving=("step",), recorded=recorded, error_map=4
+        references=((1, 1),), seconds=3, seeds=2, moving=True, recorded=recorded, error_map=4
     )
     summary = write_evaluation(
         score_controller(Covering(), AnalyticFin(), config), tmp_path / "out"
     )
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
-    assert [row["kind"] for row in summary["moving"]] == ["step"] * 4 + ["recorded"]
+    assert len(summary["moving"]) == 5
     assert summary["moving"][-1]["duration_s"] == 6
     assert summary["error_map"]["not_covered"] == 4
     names = {
         f"{name}.{kind}"
-        for name in ("experiments", "moving", "error_map")
+        for name in ("experiments", "steps", "recorded", "error_map")
         for kind in ("svg", "png")
     }
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "evaluation.json"}
@@ -239,22 +228,14 @@ def test_without_being_asked_for_nothing_moves():
 
 
 def test_the_figure_shows_the_reference_beside_the_moving_average(moving):
-    axes = moving_figure([moving]).get_axes()
-    assert len(axes) == 8
-    shown = {line.get_label(): line for line in axes[0].get_lines()}
+    axes = moving_figure(moving).get_axes()
+    assert len(axes) == 6
+    shown = {line.get_label(): line for line in axes[1].get_lines()}
     np.testing.assert_array_equal(shown["reference"].get_ydata(), STEP.sample(600)[:, 0])
-    average = shown["moving average of the force over 2 s"]
+    average = shown["moving average over 2 s"]
     np.testing.assert_allclose(average.get_xdata()[[0, -1]], [2, 6])
     assert average.get_ydata()[0] == pytest.approx(
         moving.recording.reading.force[0, 0, :200, 0].mean(), abs=1e-6
     )
-    assert axes[0].get_title(loc="left").startswith("step (1, 0) to (2, 0) N at 3 s\nerror ")
-    assert axes[0].get_title(loc="left").endswith("never settles")
-    assert axes[3].get_ylabel() == "angle [°]"
-
-
-def test_the_errors_in_the_figure_have_more_decimals_for_a_small_fin(moving):
-    recording = moving.recording
-    small = moving._replace(recording=recording._replace(reference=0.06 * recording.reference))
-    title = moving_figure([small]).get_axes()[0].get_title(loc="left")
-    assert re.search(r"error \d\.\d{3}, \d\.\d{3} N", title)
+    assert axes[1].get_title(loc="left").startswith("step (1, 0) to (2, 0) N at 3 s\nerror ")
+    assert axes[1].get_title(loc="left").endswith("settling time: never")

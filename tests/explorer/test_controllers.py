@@ -138,7 +138,10 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
                 controller.check(tuple(near.tolist()))
                 continue
             compared += 1
-            np.testing.assert_allclose(near, expected, atol=1e-4)
+            # Two forces may be almost equally near.
+            np.testing.assert_allclose(near, expected, atol=2e-2)
+            distances = np.linalg.norm(np.stack([near, expected]) - force, axis=1)
+            assert distances[0] == pytest.approx(distances[1], abs=2e-3)
     assert compared > 20
 
 

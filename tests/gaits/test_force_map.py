@@ -1,5 +1,7 @@
 """The map: what was seen, less what no gait holds."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,9 @@ from softfin.core.errors import PlantError
 from softfin.gaits.force_map import (
     RAY_PARTS,
     MapConfig,
-    check_star,
     find_force_map,
     held_region,
+    star_warning,
 )
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
@@ -121,20 +123,18 @@ RING = (LENGTH > 1.0) & (LENGTH < 2.0)
 
 def test_forces_that_a_star_leaves_out_are_counted_and_warned_of() -> None:
     gaits = cloud(FINE, RING)
-    star, warning = check_star(ForceMap(gaits, held_region(WIDE, gaits, 0.1)), 0.1)
-    assert star["held_outside"] > 0.3
-    assert "of the forces that gaits produce are outside the stored region" in (warning or "")
+    warning = star_warning(ForceMap(gaits, held_region(WIDE, gaits, 0.1)), 0.1)
+    assert re.search(r": [3-9]\d% of the forces that gaits produce are outside", warning or "")
 
 
 def test_forces_within_a_star_that_no_gait_makes_are_counted_and_warned_of() -> None:
     gaits = cloud(FINE, RING)
-    star, warning = check_star(ForceMap(gaits, WIDE), 0.1)
-    assert star["missed_inside"] == pytest.approx(0.25, abs=0.03)
-    assert "no gait was found for 2" in (warning or "")
+    warning = star_warning(ForceMap(gaits, WIDE), 0.1)
+    assert re.search(r"no gait was found for 2[2-8]%", warning or "")
 
 
 def test_of_a_disc_there_is_nothing_to_warn_of() -> None:
     gaits = cloud(FINE, LENGTH < 1.5)
     region = held_region(WIDE, gaits, 0.1)
     np.testing.assert_array_equal(region.centre, WIDE.centre)
-    assert check_star(ForceMap(gaits, region), 0.1)[1] is None
+    assert star_warning(ForceMap(gaits, region), 0.1) is None

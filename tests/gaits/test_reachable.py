@@ -108,7 +108,8 @@ def test_what_lies_a_little_beyond_the_edge_counts_within_the_tolerance():
 
 def test_area_box_and_corners_of_a_square_are_known():
     assert SQUARE.area() == pytest.approx(8)
-    np.testing.assert_allclose(SQUARE.bounds(), [(-1, -3), (3, 1)], atol=1e-6)
+    box = SQUARE.bounding_box()
+    np.testing.assert_allclose((box.low, box.high), [(-1, -3), (3, 1)], atol=1e-6)
     np.testing.assert_allclose(SQUARE.corners(), [(3, -1), (1, 1), (-1, -1), (1, -3)], atol=1e-6)
 
 

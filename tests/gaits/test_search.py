@@ -18,7 +18,6 @@ from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import SurveyConfig, gait_families, survey
 from softfin.gaits.simulate import simulate_gait as simulate
 from tests.gaits.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
-from tests.gaits.test_survey import OwnFin
 from tests.plants import StrokeFin
 
 KEY = jax.random.key(0)
@@ -101,13 +100,6 @@ def test_likeness_brings_the_gaits_of_neighbours_together(monkeypatch: pytest.Mo
         for config in (GAITS.model_copy(update={"likeness": weight}) for weight in (0.0, 0.6))
     )
     assert alike < 0.8 * apart
-
-
-def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
-    lattice = GaitTable.empty((1, 0), (2, 0.5), (2, 2))
-    quick = GaitConfig(cycles=2, steps=6, halvings=0)
-    own, same = (find_gaits(plant, surveyed(), lattice, quick) for plant in (OwnFin(), FIN))
-    np.testing.assert_allclose(own.force, same.force, atol=1e-3)
 
 
 def test_halving_the_spacing_leaves_less_between_the_nodes() -> None:

@@ -1,24 +1,19 @@
 """The survey of a fin whose reach is known: 0.5 v (1 - cos stroke) N along the middle of each
 stroke."""
 
-import dataclasses
-
 import jax
 import numpy as np
 
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.simulate import (
     AMPLITUDES,
     CENTRES,
-    SurveyConfig,
     _middle,
     gait_families,
     strokes,
     survey,
 )
 from tests.gaits.mapped import FIN, SURVEY, simulate_gait, surveyed
-from tests.plants import StrokeFin
 
 MOST_N = np.pi
 """Straight ahead: strokes of 180 degrees at pi rad/s."""
@@ -46,7 +41,8 @@ def test_chunks_do_not_change_what_is_found() -> None:
 
 def test_the_region_reaches_as_far_as_the_fin_and_no_farther() -> None:
     found = surveyed().reachable
-    (x0, y0), (x1, y1) = found.bounds()
+    box = found.bounding_box()
+    (x0, y0), (x1, y1) = box.low, box.high
     assert 0.95 * MOST_N < x1 <= MOST_N + 1e-3
     assert x0 > -0.01
     # The middle of a stroke of s is at most (pi - s) / 2 aside: most is 0.5 pi max_s (1 - cos s)
@@ -72,28 +68,6 @@ def test_progress_rises_to_the_end() -> None:
     survey(FIN, SURVEY, lambda done, note: said.append(done))
     assert said == sorted(said)
     assert said[-1] == 1
-
-
-@dataclasses.dataclass
-class OwnFin:
-    """As a user may write one: JAX knows nothing of it, and it cannot be hashed."""
-
-    gain: float = 0.5
-    limits: Limits = PAPER_LIMITS
-
-    def init(self, key):
-        return StrokeFin(self.gain).init(key)
-
-    def advance(self, state, command, ticks):
-        return StrokeFin(self.gain).advance(state, command, ticks)
-
-    def hold_action(self, state, command, ticks, rows):
-        return StrokeFin(self.gain).hold_action(state, command, ticks, rows)
-
-
-def test_a_plant_that_cannot_be_hashed_is_surveyed_all_the_same() -> None:
-    few = SurveyConfig(cycles=2, batch=700, directions=8, pushes=0)
-    np.testing.assert_allclose(survey(OwnFin(), few).force, surveyed().force, atol=1e-4)
 
 
 def test_the_middle_is_seen_from_a_force_that_a_gait_makes_where_none_is_near_it() -> None:

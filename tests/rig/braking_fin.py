@@ -6,7 +6,7 @@ import threading
 from typing import NamedTuple
 
 from softfin.core.clock import REAL, Clock
-from softfin.rig.emulated_fin import COAST_RAD_S2, FinMotion
+from softfin.emulation.fin import COAST_RAD_S2, FinMotion
 
 FORCE_N = 0.5
 """Force of the fin at 1 rad/s, against its motion."""

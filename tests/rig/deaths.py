@@ -14,26 +14,27 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from softfin.core.clock import REAL, Clock
+from softfin.core.clock import Clock
 from softfin.core.errors import SoftfinError
-from softfin.rig.bus import BusConfig
-from softfin.rig.config import RigConfig
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
-from softfin.rig.devices.epos2.config import Epos2Config
-from softfin.rig.devices.epos2.emulated_drive import (
+from softfin.emulation.axia80 import EmulatedAxia80
+from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import (
     MOTION_STEP_S,
     USUAL,
     DriveTraits,
     EmulatedDrive,
 )
+from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER
+from softfin.rig.config import RigConfig
+from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.protocol import UNPOWERED, State
-from softfin.rig.emulation.bus import HOST, SocketcandServer
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY, WIDE
@@ -247,7 +248,7 @@ def swim(session: Session, seed: int) -> None:
             pass
 
 
-def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = REAL) -> None:
+def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = COMPUTER) -> None:
     """Be the host of a fin until its session ends."""
     rig = Rig(RigConfig.build(values, values["fin"]), clock)
     try:

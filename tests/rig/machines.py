@@ -8,12 +8,13 @@ from collections.abc import Callable
 from softfin.control.controller import Measured
 from softfin.core.clock import REAL, Clock
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
+from softfin.rig.computer import Computer
 from softfin.rig.machine import Sample, Target
 
 FORCE_DELAY_S = 0.02
 
 
-class Hours(Clock):
+class Hours(Computer):
     """A clock that the test moves, or the sleep of its loop; other threads wait in real time."""
 
     def __init__(self) -> None:

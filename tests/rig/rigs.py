@@ -11,15 +11,15 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.core.clock import REAL
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.objects import values as drive_values
+from softfin.emulation.rig import EmulatedRig, rigs
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.devices.epos2.emulated_objects import values as drive_values
-from softfin.rig.emulation.rig import EmulatedRig, rigs
 from softfin.rig.record import RigRecord, StopProof, save_record
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 from tests.rig.simple_fin import SimpleFin
 
@@ -99,7 +99,7 @@ def over_sockets(path: Path, sensor: str = "axia80") -> Iterator[EmulatedRig]:
     with (
         patient(),
         unshared_loopback(),
-        EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind,
+        EmulatedRig(fin=SimpleFin(), clock=COMPUTER, sensor=sensor) as behind,
     ):
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
         values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}
@@ -143,7 +143,7 @@ def unshared_loopback() -> Iterator[None]:
     same port. All of 127/8 is local."""
     address = ".".join(["127", *(str(secrets.randbelow(253) + 1) for _ in range(3))])
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr("softfin.rig.devices.axia80.emulated_sensor.LOOPBACK", address)
+        patches.setattr("softfin.emulation.axia80.LOOPBACK", address)
         yield
 
 

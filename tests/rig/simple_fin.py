@@ -4,7 +4,7 @@ import math
 import threading
 
 from softfin.core.clock import REAL, Clock
-from softfin.rig.emulated_fin import COAST_RAD_S2, FinMotion
+from softfin.emulation.fin import COAST_RAD_S2, FinMotion
 
 SIMPLE_FORCE_N = 0.5
 """Force of a simple fin at 1 rad/s."""

@@ -1,6 +1,6 @@
 """A fin whose wrench the test sets."""
 
-from softfin.rig.emulated_fin import FinMotion
+from softfin.emulation.fin import FinMotion
 
 
 class StillFin:

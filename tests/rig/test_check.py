@@ -3,9 +3,7 @@ from tests.rig.rigs import emulated
 
 
 def findings(machine, folder):
-    return {
-        finding.what: finding for finding in check_rig(machine.config, folder, 0.3, machine.clock)
-    }
+    return {finding.what: finding for finding in check_rig(machine, folder, 0.3)}
 
 
 def test_each_device_is_looked_at_though_another_is_wrong(tmp_path):
@@ -46,7 +44,7 @@ def test_a_folder_that_cannot_be_written_is_wrong(tmp_path):
 
 def test_limits_of_the_current_that_can_never_trip_are_notes(tmp_path):
     with emulated(current_peak_a=4.0, current_sustained_a=2.5) as (_, robot):
-        rows = list(check_rig(robot.machine.config, tmp_path, 0.3, robot.machine.clock))
+        rows = list(check_rig(robot.machine, tmp_path, 0.3))
     notes = [row.text for row in rows if row.what == "safety"]
     assert notes == [
         "current_peak_a 4 A can never trip: the drive itself limits the current to 4 A; lower it",

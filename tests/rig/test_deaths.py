@@ -11,8 +11,8 @@ import random
 import pytest
 
 from softfin.core.errors import SafetyStop
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import DriveTraits
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.deaths import (
     AFTERWARDS_S,

@@ -1,8 +1,8 @@
 """The last steps of a stop, which all drives share."""
 
 from softfin.core.errors import DeviceError
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.drive_safety import stays_off
-from softfin.rig.simulated_clock import SimulatedClock
 
 
 def test_a_drive_that_falls_silent_is_reported_as_unconfirmed_within_seconds():

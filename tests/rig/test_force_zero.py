@@ -4,10 +4,10 @@ import math
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.axia80 import sensor_pages
 from softfin.rig import force_zero
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig
-from softfin.rig.devices.axia80.emulated_sensor import sensor_pages
 from softfin.rig.devices.axia80.pages import SETTINGS
 from softfin.rig.record import load_record, record_file
 from softfin.rig.rig import Rig, zero_force
@@ -28,7 +28,7 @@ def bench(tmp_path):
 
 def test_the_zero_is_the_force_at_rest_which_is_then_zero(bench):
     behind, config = bench
-    results = zero_force(config, 0.2, behind.clock)
+    results = zero_force(Rig(config, behind.clock), 0.2)
     assert results["force_before_n"] == pytest.approx([5.0, 1.0, 0.0], abs=1e-3)
     assert results["force_after_n"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
 
@@ -66,7 +66,7 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
         DeviceError,
         match=r"force varies by \d\.\d\d N, but at most .*; wait until the water is calm",
     ):
-        zero_force(config, 2.0, behind.clock)
+        zero_force(Rig(config, behind.clock), 2.0)
     assert not record_file(config.file).exists()
 
 
@@ -85,15 +85,15 @@ def test_a_large_fin_may_rest_in_rougher_water(bench, peak_n, allowed_n):
         return now
 
     behind.fin.now = waves(0.9 * allowed_n)
-    zero_force(rough, 2.0, behind.clock)
+    zero_force(Rig(rough, behind.clock), 2.0)
     behind.fin.now = waves(1.1 * allowed_n)
     with pytest.raises(DeviceError, match=f"but at most {allowed_n:g} N is allowed"):
-        zero_force(rough, 2.0, behind.clock)
+        zero_force(Rig(rough, behind.clock), 2.0)
 
 
 def test_the_zero_is_recorded_beside_the_rigs_file(bench):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     zero = load_record(config.file).force_zero
     assert zero is not None
     assert zero.sensor["serial"] == "FT00000"
@@ -110,7 +110,7 @@ def opened(config, clock):
 
 def test_the_zero_is_kept_when_the_sensor_restarts(bench):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.sensor.reboot(1.0)
     behind.clock._now += 1.0
     rig = Rig(config, behind.clock)
@@ -128,7 +128,7 @@ def test_a_zero_set_in_the_sensor_that_was_since_lost_is_refused_and_leaves_noth
     behind.sensor.pages[SETTINGS] = page.replace(
         ending, b"<setbias>1;-2;0;0;0;0</setbias>" + ending
     )
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     opened(config, behind.clock)
     behind.sensor.pages[SETTINGS] = page.replace(ending, b"<setbias>0;0;0;0;0;0</setbias>" + ending)
     rig = Rig(config, behind.clock)
@@ -143,14 +143,14 @@ def test_a_zero_set_in_the_sensor_that_was_since_lost_is_refused_and_leaves_noth
 
 def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     with pytest.raises(
         RigError,
         match=r"settings have changed since its zero was set \(serial was 'FT00000' and is 'FT31415'",
     ):
         opened(config, behind.clock)
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     opened(config, behind.clock)
 
 
@@ -171,12 +171,12 @@ def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_liste
     with simulated(sensor="lines") as behind:
         config: RigConfig = config_of(behind)
         config._file = tmp_path / "rig.yaml"
-        zero_force(config, 0.2, behind.clock)
+        zero_force(Rig(config, behind.clock), 0.2)
         changed = RigConfig.build(behind.values(sensor=behind.values()["sensor"] | values))
         changed._file = config.file
         (row,) = [
             row
-            for row in check_rig(changed, tmp_path, 0.2, behind.clock)
+            for row in check_rig(Rig(changed, behind.clock), tmp_path, 0.2)
             if row.what == "force zero"
         ]
         assert row.state == "wrong"
@@ -185,7 +185,7 @@ def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_liste
         with pytest.raises(RigError, match="its settings have changed"):
             opened(changed, behind.clock)
         opened(config, behind.clock)
-        zero_force(changed, 0.2, behind.clock)
+        zero_force(Rig(changed, behind.clock), 0.2)
         opened(changed, behind.clock)
 
 
@@ -193,14 +193,14 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
     behind, config = bench
 
     def finding():
-        results = check_rig(config, tmp_path, 0.2, behind.clock)
+        results = check_rig(Rig(config, behind.clock), tmp_path, 0.2)
         return next(
             (result.state, result.text) for result in results if result.what == "force zero"
         )
 
     state, text = finding()
     assert (state, text.split(";")[0]) == ("note", "never set by softfin")
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     assert finding()[0] == "well"
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     assert finding()[0] == "wrong"
@@ -208,9 +208,9 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
 
 def test_a_check_never_changes_the_zero(bench, tmp_path):
     behind, config = bench
-    zero_force(config, 0.2, behind.clock)
+    zero_force(Rig(config, behind.clock), 0.2)
     before = record_file(config.file).read_bytes()
-    list(check_rig(config, tmp_path, 0.2, behind.clock))
+    list(check_rig(Rig(config, behind.clock), tmp_path, 0.2))
     assert record_file(config.file).read_bytes() == before
 
 

@@ -11,15 +11,16 @@ import pytest
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig import lock as locks
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import load_rig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.sensor import lines_sensor
-from softfin.rig.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig.lock import DeviceLock
 from softfin.rig.rig import Rig, zero_force
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.tank import Tank
 from tests.patience import HANG_S, wait_until
 from tests.rig.devices.dynamixel.bench import servo_config
@@ -31,10 +32,10 @@ ROOT = Path(__file__).parents[2]
 HOLDER = """
 import sys
 from pathlib import Path
-from softfin.core.clock import REAL
+from softfin.rig.computer import COMPUTER
 from softfin.rig import lock
 lock.LOCK_FOLDER = Path(sys.argv[1])
-lock.DeviceLock("drive", "can0", 1).acquire(REAL)
+lock.DeviceLock("drive", "can0", 1).acquire(COMPUTER)
 print("locked", flush=True)
 sys.stdin.read()
 """
@@ -76,32 +77,32 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
             rf"{other.pid}\); end it first$"
         )
         with pytest.raises(RigError, match=expected):
-            lock.acquire(REAL)
+            lock.acquire(COMPUTER)
         other.kill()
         other.wait(HANG_S)
-        lock.acquire(REAL)
+        lock.acquire(COMPUTER)
         with pytest.raises(RigError, match=str(os.getpid())):
-            DeviceLock("drive 1", "can0", 1).acquire(REAL)
+            DeviceLock("drive 1", "can0", 1).acquire(COMPUTER)
         lock.release()
 
 
 def test_a_lock_works_within_a_process_and_other_devices_are_free(folder):
     first = DeviceLock("drive 1", "can0", 1)
     second = DeviceLock("drive 1", "can0", 1)
-    first.acquire(REAL)
-    first.acquire(REAL)
-    DeviceLock("drive 2", "can0", 2).acquire(REAL)
+    first.acquire(COMPUTER)
+    first.acquire(COMPUTER)
+    DeviceLock("drive 2", "can0", 2).acquire(COMPUTER)
     with pytest.raises(RigError, match="in use"):
-        second.acquire(REAL)
+        second.acquire(COMPUTER)
     first.release()
     first.release()
-    second.acquire(REAL)
+    second.acquire(COMPUTER)
     second.release()
 
 
 def test_no_name_of_a_device_leads_out_of_the_folder(folder):
     lock = DeviceLock("drive", "slcan", "/dev/../../tmp/tty@0", 1)
-    lock.acquire(REAL)
+    lock.acquire(COMPUTER)
     (file,) = folder.iterdir()
     assert file.name == "softfin-slcan_dev_.._.._tmp_tty_0_1"
     lock.release()
@@ -111,7 +112,7 @@ def test_a_device_that_cannot_be_locked_is_used_with_a_note(folder):
     # A folder in place of the file, which no user can open for writing.
     (folder / "softfin-can0_1").mkdir()
     lock = DeviceLock("drive 1", "can0", 1)
-    lock.acquire(REAL)
+    lock.acquire(COMPUTER)
     assert lock.note.startswith("drive 1: cannot be locked (")
     assert lock.note.endswith("make sure that no other program uses it")
     lock.release()
@@ -122,7 +123,7 @@ def test_a_link_in_place_of_the_lock_is_not_followed(folder):
     precious.write_text("kept")
     (folder / "softfin-can0_1").symlink_to(precious)
     lock = DeviceLock("drive 1", "can0", 1)
-    lock.acquire(REAL)
+    lock.acquire(COMPUTER)
     assert lock.note is not None
     assert precious.read_text() == "kept"
 
@@ -140,7 +141,7 @@ def test_a_lock_folder_that_some_users_cannot_write_to_is_not_used(tmp_path, mon
     # A folder for this user only, as on macOS or with TMPDIR.
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     lock = DeviceLock("drive 1", "can0", 1)
-    lock.acquire(REAL)
+    lock.acquire(COMPUTER)
     assert lock.note is None
     assert [file.name for file in shared.iterdir()] == ["softfin-can0_1"]
     lock.release()
@@ -149,7 +150,7 @@ def test_a_lock_folder_that_some_users_cannot_write_to_is_not_used(tmp_path, mon
 def test_the_program_that_holds_a_lock_is_asked_to_exit(folder):
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
-        assert lock.take_over(REAL)
+        assert lock.take_over(COMPUTER)
         assert other.wait(HANG_S) == -signal.SIGTERM
     lock.release()
 
@@ -207,19 +208,19 @@ def test_a_program_that_does_not_end_keeps_its_lock(folder, monkeypatch):
         other.send_signal(signal.SIGSTOP)
         wait_until(lambda: "State:\tT" in Path(f"/proc/{other.pid}/status").read_text())
         lock = DeviceLock("drive 1", "can0", 1)
-        assert not lock.take_over(REAL)
+        assert not lock.take_over(COMPUTER)
         assert other.poll() is None
 
 
 def test_an_unrelated_program_with_the_id_in_the_lock_file_is_not_stopped(folder, monkeypatch):
     monkeypatch.setattr(locks, "TAKE_OVER_S", 0.05)
     holder = DeviceLock("drive 1", "can0", 1)
-    holder.acquire(REAL)
+    holder.acquire(COMPUTER)
     (file,) = folder.iterdir()
     innocent = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=-1)
     try:
         file.write_text(f"{innocent.pid}\n")
-        assert not DeviceLock("drive 1", "can0", 1).take_over(REAL)
+        assert not DeviceLock("drive 1", "can0", 1).take_over(COMPUTER)
         assert innocent.poll() is None
     finally:
         holder.release()
@@ -231,8 +232,9 @@ def test_a_device_in_simulated_time_is_not_locked(folder):
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.real_time
 def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(folder, monkeypatch):
-    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
         first = Rig(config_of(behind))
         first.open()
         second = Rig(config_of(behind))
@@ -244,14 +246,15 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
             with pytest.raises(RigError, match=r"drive 1 on CAN bus virtual .*: in use"):
                 second.open()
             with pytest.raises(RigError, match=r"force sensor 127.0.0.1: in use"):
-                zero_force(second.config)
+                zero_force(second)
         first.close()
         second.open()
         second.close()
 
 
+@pytest.mark.real_time
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
-    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
         without_page = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"http_port": 1}))
         with pytest.raises(DeviceError, match="cannot read the force sensor's page"):
             without_page.open()

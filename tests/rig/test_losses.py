@@ -5,13 +5,13 @@ from itertools import count
 import pytest
 
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.rigs import values_of
 

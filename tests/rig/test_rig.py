@@ -2,14 +2,15 @@ import itertools
 
 import pytest
 
-from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError, SafetyStop
+from softfin.rig.computer import COMPUTER
 from softfin.rig.config import load_rig
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Machine, Target
-from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.rig import zero_angle, zero_force
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
+from softfin.stages.machines import find_rig
 from tests.rig.conformance import check_machine
 from tests.rig.rigs import config_of, emulated, filed, simulated
 
@@ -82,14 +83,13 @@ def test_one_heartbeat_is_sent_every_four_ticks(monkeypatch):
         machine.close()
 
 
-def test_a_rig_has_the_clock_that_it_is_given_or_the_one_of_its_emulation_or_the_real_one(tmp_path):
+def test_a_rig_has_the_clock_of_its_emulation_or_the_real_one(tmp_path):
     with simulated() as behind:
         config = config_of(behind)
-        assert Rig(config).clock is REAL
+        assert find_rig(config).clock is COMPUTER
         with filed(behind, tmp_path / "rig.yaml") as file:
             emulated_config = load_rig(file)
-            assert Rig(emulated_config).clock is behind.clock
-            assert Rig(emulated_config, REAL).clock is REAL
+            assert find_rig(emulated_config).clock is behind.clock
 
 
 def test_counters_are_whole_numbers_by_name_after_close_too():
@@ -108,7 +108,7 @@ def test_the_force_at_rest_becomes_zero():
         behind.fin.now = lambda now=behind.fin.now: now()._replace(
             wrench=(0.4, -1.5, 0.2, 0.0, 0.0, 0.0)
         )
-        told = zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
+        told = zero_force(robot.machine, seconds=0.3)
     assert told["force_before_n"] == pytest.approx([0.4, -1.5, 0.2], abs=1e-3)
     assert told["force_after_n"] == pytest.approx([0, 0, 0], abs=1e-3)
 
@@ -123,13 +123,13 @@ def test_a_fin_that_is_moved_is_not_zeroed():
             DeviceError,
             match=r"force varies by .* N, but at most 0.3 N is allowed; wait until the water is calm",
         ):
-            zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
+            zero_force(robot.machine, seconds=0.3)
 
 
 def test_the_angle_where_it_stands_becomes_zero_and_the_fin_does_not_move():
     with emulated() as (behind, robot):
         behind.fin.move(0.3, 100.0)
-        told = zero_angle(robot.machine.config, clock=behind.clock)
+        told = zero_angle(robot.machine)
         assert told["angle_before_rad"] == pytest.approx(0.3, abs=1e-3)
         assert told["angle_after_rad"] == pytest.approx(0.0, abs=1e-3)
         assert behind.fin.now().angle == pytest.approx(0.3)

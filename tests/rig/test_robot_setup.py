@@ -4,8 +4,9 @@ import yaml
 from softfin.core.errors import RigError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.rig import Rig
-from softfin.rig.robot_setup import RobotSetup, find_robot
+from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
+from softfin.stages.machines import find_robot
 from tests.rig.machines import FreeFin
 from tests.rig.test_config import VALUES, written
 
@@ -52,7 +53,6 @@ def test_a_rig_is_found_by_its_file_without_being_opened(tmp_path):
     assert isinstance(robot.machine, Rig)
     assert (robot.fin, robot.machine.name) == ("blue", "rig of blue")
     assert robot.configuration["sensor"]["address"] == "192.168.1.1"
-    assert "emulation" not in robot.configuration
     assert robot.machine.counters()["drive_targets_repeated"] == 0
 
 

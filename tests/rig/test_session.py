@@ -1,5 +1,7 @@
+import gc
 import math
 import threading
+import weakref
 from itertools import count
 
 import pytest
@@ -7,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import CommandError, DeviceError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.machine import Target
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session, mean_force
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.patience import wait_until
 from tests.rig.machines import FreeFin, Hours, Notes
@@ -542,10 +544,7 @@ def test_whatever_the_order_of_calls_it_moves_only_while_active(calls):
         "ask": lambda: made.stop.ask("emergency_stop", "by a key"),
         "rest": lambda: session.rest(0.02),
     }
-    # Garbage is collected at each activation, which takes long beside JAX and is not what is looked
-    # at here.
-    with pytest.MonkeyPatch.context() as patches, session:
-        patches.setattr("softfin.rig.session.gc.collect", lambda: 0)
+    with session:
         for call in calls:
             where = machine.angle
             state = session.state
@@ -559,6 +558,23 @@ def test_whatever_the_order_of_calls_it_moves_only_while_active(calls):
                 assert len(machine.commands) == commanded
             assert machine.enabled == (session.state == "active")
     assert not machine.enabled
+
+
+def test_garbage_is_collected_before_the_fin_moves_and_not_while_it_does(monkeypatch):
+    monkeypatch.setattr("softfin.rig.session.gc", gc)
+
+    class Ring:
+        pass
+
+    garbage = Ring()
+    garbage.itself = garbage
+    gone = weakref.ref(garbage)
+    with Made().session as session:
+        del garbage
+        session.activate()
+        assert gone() is None
+        assert gc.get_freeze_count() > 10_000
+    assert gc.get_freeze_count() == 0
 
 
 def test_a_pace_of_real_time_is_the_default():

@@ -6,14 +6,14 @@ import io
 import pytest
 
 from softfin.cli.common import Armed
-from softfin.cli.driving import typed
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.rig.arming import typed
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
 from tests.patience import HANG_S
 from tests.rig.machines import FreeFin, Notes

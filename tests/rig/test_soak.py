@@ -22,18 +22,18 @@ import can
 import pytest
 import yaml
 
-from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import USUAL
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2.emulated_drive import USUAL
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.epos2.protocol import State
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.patience import HANG_S
 from tests.rig.bags import events_of
 from tests.rig.deaths import DRIVE, Station, cut, swim_by_values
@@ -90,7 +90,7 @@ class Scene:
 
 @contextmanager
 def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
-    clock = REAL if real_time else SimulatedClock()
+    clock = COMPUTER if real_time else SimulatedClock()
     with EmulatedRig(fin=SimpleFin(clock), clock=clock) as emulated:
         values = emulated.values(safety=WIDE if real_time else SAFETY)
         patient = PATIENT if real_time else {}
@@ -130,7 +130,7 @@ def another_fin_is_cut_off(at: Scene) -> None:
 
 def swim_and_be_cut_off(at: Scene) -> None:
     bus = BusConfig(interface="virtual", channel=at.emulated.channel)
-    patience = PATIENT if at.clock is REAL else {}
+    patience = PATIENT if at.clock is COMPUTER else {}
     with closing(
         Station(bus, bus.model_dump(), {**DRIVE, **patience, "node": 2}, USUAL, at.clock)
     ) as station:
@@ -241,7 +241,7 @@ def at_a_moment(inject: Callable[[], None], numbers: random.Random) -> Callable[
 
 def limit_of(at: Scene, simulated_s: float) -> float:
     """A limit in simulated time; in real time a busy machine may take longer."""
-    return HANG_S if at.clock is REAL else simulated_s
+    return HANG_S if at.clock is COMPUTER else simulated_s
 
 
 def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> None:
@@ -264,7 +264,7 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
     assert isinstance(error, SafetyStop), repr(error)
     assert "\n" not in str(error)
     assert at.session.trip is not None
-    assert re.search(f"{words}|{BUSY}" if at.clock is REAL else words, str(error)), error
+    assert re.search(f"{words}|{BUSY}" if at.clock is COMPUTER else words, str(error)), error
     still(at)
     at.patches.undo()
     told = events_of(at.bag) if at.session.trip.cause != "recording" else []
@@ -331,6 +331,7 @@ def test_disturbances_are_counted_and_the_fin_goes_on(tmp_path):
         went_on(at, list(GOES_ON.values()), random.Random(1))
 
 
+@pytest.mark.real_time
 def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
     with scene(tmp_path / "unused.mcap", real_time=True) as at:
         pausing(at, tmp_path, random.Random(2))
@@ -374,6 +375,7 @@ def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
         process.communicate()
 
 
+@pytest.mark.real_time
 @pytest.mark.slow
 @pytest.mark.skipif(not LONG, reason="takes twenty minutes; SOFTFIN_LONG=1 runs it")
 def test_soak(tmp_path):

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from softfin.core.errors import SafetyStop
-from softfin.rig.simulated_clock import SimulatedClock
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.stop import (
     STOP_SIGNALS,
     StopRequest,

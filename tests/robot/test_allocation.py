@@ -95,3 +95,11 @@ def test_an_axis_that_cannot_be_met_is_told(matrix):
     )
     assert found.given_up.tolist() == [True, False, False, False, False, False]
     assert found.wrench[0] == pytest.approx(4 * 2 * 0.866, rel=0.02)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_a_small_force_or_moment_is_not_told_of(matrix, axis):
+    small = 0.02 if axis < 3 else 0.005
+    dead = Allocator(matrix, np.zeros(4))
+    given_up = [dead.allocate(part * small * np.eye(6)[axis]).given_up for part in (0.95, 1.05)]
+    assert np.argwhere(given_up).tolist() == [[1, axis]]

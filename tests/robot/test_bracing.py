@@ -89,11 +89,11 @@ def test_after_a_death_no_bracing_is_kept_that_the_fins_did_not_have(robot):
 
 def test_a_bracing_that_costs_much_to_change_is_kept(robot):
     count = len(robot.fins)
-    stubborn = BracedAllocation(
-        robot.merged({"allocation": {"brace_change": 1e6}}, "test"), [REACH_N] * count
-    )
-    free = BracedAllocation(
-        robot.merged({"allocation": {"brace_change": 0}}, "test"), [REACH_N] * count
+    stubborn, free = (
+        BracedAllocation(
+            robot.merged({"allocation": {"brace_change": cost}}, "test"), [REACH_N] * count
+        )
+        for cost in (1e6, 0)
     )
     rest = np.zeros((count, 2))
     _, brace = free.share(drawn_wrenches(robot, 1)[0], rest, rest)

@@ -20,15 +20,10 @@ def values(ucat):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (
-            "fins.front_left.shaft_axis",
-            [0.5, 0.5, 0.0],
-            "shaft_axis = .* has length 0.7071; use a unit vector",
-        ),
-        ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
+        ("fins.front_left.shaft_axis", [0.5, 0.5, 0.0], "shaft_axis = .* has length 0.7071"),
+        ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "right angles to its shaft"),
         ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
         ("fins", {}, "fins"),
-        ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),
     ],
 )
 def test_a_file_that_describes_no_robot_is_refused_in_one_line(
@@ -48,9 +43,7 @@ def test_a_file_that_describes_no_robot_is_refused_in_one_line(
 
 
 def test_a_robot_that_is_not_there_is_told_with_those_that_are():
-    with pytest.raises(
-        ConfigurationError, match=r"robot nemo.yaml: file not found; .* built-in robot ucat"
-    ):
+    with pytest.raises(ConfigurationError, match=r"nemo\.yaml: .* ucat"):
         load_robot("nemo.yaml")
 
 
@@ -89,10 +82,7 @@ def test_a_check_says_how_the_body_swings(ucat, gravity_z):
 
 @pytest.mark.parametrize(
     ("buoyancy_z", "words"),
-    [
-        (-0.07, "turn it away from upright with 9.07 N m/rad"),
-        (-0.02, "weight and buoyancy do not right it"),
-    ],
+    [(-0.07, "9.07 N m/rad"), (-0.02, "do not right it")],
 )
 def test_a_check_names_a_body_that_does_not_stay_upright(ucat, buoyancy_z, words):
     robot = ucat.merged({"body": {"centre_of_buoyancy_m": [0, 0, buoyancy_z]}}, "test")

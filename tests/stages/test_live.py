@@ -15,13 +15,13 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.recordings import open_logs
+from softfin.emulation.clock import SimulatedClock
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.record import load_record
 from softfin.rig.rig import zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from softfin.stages.live import collect_live, evaluate_live, find_bags, log_from_samples
 from softfin.storage.dataset import Dataset

@@ -10,7 +10,7 @@ from softfin.core.quantities import Command, Reading
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, together
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.report import write_report
-from softfin.evaluation.scores import Scores, SurrogateUncertainty
+from softfin.evaluation.scores import Scores
 from softfin.stages.reproduce import RESULTS, _Reproduction
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.storage.dataset import write_dataset
@@ -27,17 +27,12 @@ RECORDING = ExperimentRecording(
 
 def evaluated(distance, fraction, *warnings):
     scores = Scores(*(np.full((1, 2, 2), fraction) for _ in Scores._fields))
-    uncertainty = SurrogateUncertainty(
-        np.array([fraction]), np.array([distance]), np.array([[fraction, 3 * fraction]])
-    )
-    return Evaluation(EvaluateConfig(), scores, 2, RECORDING, uncertainty, warnings)
+    return Evaluation(EvaluateConfig(), scores, 2, RECORDING, np.array([[0.0, distance]]), warnings)
 
 
 def test_of_several_controllers_the_furthest_distance_is_that_of_the_one_that_went_furthest():
     both = together([evaluated(1.0, 0.1), evaluated(5.0, 0.3)])
-    assert both.uncertainty.furthest.tolist() == [5.0]
-    np.testing.assert_allclose(both.uncertainty.out_of_distribution_fraction, [0.2])
-    np.testing.assert_allclose(both.uncertainty.half_width, [[0.2, 0.6]])
+    assert both.distance.tolist() == [[0.0, 1.0, 0.0, 5.0]]
     assert both.repetitions == 2
 
 

@@ -77,11 +77,11 @@ def test_a_map_is_a_controller_that_tells_what_the_fin_can_produce(tmp_path: Pat
     controller = load_controller(tmp_path / "gaits")
     assert isinstance(controller.step, GaitStep)
     assert controller.reachable is not None
-    np.testing.assert_allclose(controller.reachable.bounds(), summary["box_n"], atol=1e-3)
+    box = controller.reachable.bounding_box()
+    np.testing.assert_allclose((box.low, box.high), summary["box_n"], atol=1e-3)
     description = json.loads((tmp_path / "gaits" / "controller.json").read_text())
-    assert description["star_shape"] == summary["star_shape"]
     assert description["configuration"]["nodes"] == 6
-    assert (tmp_path / "gaits" / "map.svg").is_file()
+    assert (tmp_path / "gaits" / "map.png").is_file()
 
 
 def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> None:
@@ -97,9 +97,8 @@ def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> 
     assert description["scores"] == result["scores"]
     training = tmp_path / "out" / "training"
     assert [entry["step"] for entry in read_training_log(training / "log.jsonl")] == [12]
-    (events,) = training.glob("events.*")
-    assert b"score_x_n" in events.read_bytes()
-    assert (training / "learning.svg").is_file()
+    assert '"score_x_n"' in (training / "log.jsonl").read_text()
+    assert (training / "learning.png").is_file()
     assert not (tmp_path / ".out.unfinished").exists()
 
 

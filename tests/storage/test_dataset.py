@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -28,15 +29,11 @@ def dataset(tmp_path) -> Dataset:
 
 
 def test_a_dataset_names_its_logs_in_order(dataset):
-    assert [path.relative_to(dataset.path).as_posix() for path in dataset.train] == [
-        "train/0000.parquet",
-        "train/0001.parquet",
-        "train/0002.parquet",
-    ]
+    names = [path.relative_to(dataset.path).as_posix() for path in dataset.train]
+    assert names == [f"train/000{index}.parquet" for index in range(3)]
     assert [path.name for path in dataset.test] == ["000.parquet"]
-    for path, log in zip(
-        (*dataset.train, *dataset.test), dataset.load([*dataset.train, *dataset.test]), strict=True
-    ):
+    paths = [*dataset.train, *dataset.test]
+    for path, log in zip(paths, dataset.load(paths), strict=True):
         seed = {"train": 0, "test": 7}[path.parent.name] + int(path.stem)
         np.testing.assert_array_equal(log.reading.force, make_log(seed).reading.force)
 
@@ -83,54 +80,28 @@ def test_logs_of_others_need_only_an_empty_description(dataset, tmp_path):
     assert len(opened.data_hash) == 64
 
 
-def test_a_folder_without_description_is_no_dataset(tmp_path):
-    with pytest.raises(ArtifactError, match=r"not a dataset: it contains no dataset\.json"):
-        Dataset.open(tmp_path)
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ArtifactError, match="nowhere: no such folder; it must be a dataset"):
-        Dataset.open(tmp_path / "nowhere")
+@pytest.mark.parametrize(
+    ("harm", "named"),
+    [
+        (lambda d: d.train[1].unlink(), "train/0001.parquet: missing"),
+        (lambda d: shutil.copy(d.train[0], d.path / "train/0003.parquet"), "0003.parquet: new"),
+        (lambda d: d.test[0].write_bytes(b"PAR1"), "test/000.parquet: truncated or changed"),
+        (lambda d: (d.path / "dataset.json").write_text('{"files": 3}'), "'files'"),
+        (lambda d: (d.path / "dataset.json").unlink(), "not a dataset"),
+        (lambda d: shutil.rmtree(d.path / "train"), "train"),
+        (lambda d: shutil.rmtree(d.path), "no such folder"),
+    ],
+)
+def test_a_dataset_that_is_not_whole_is_refused_by_what_is_wrong(dataset, harm, named):
+    harm(dataset)
+    with pytest.raises(ArtifactError, match=re.escape(named)):
+        Dataset.open(dataset.path)
 
 
 def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
-    with pytest.raises(
-        ArtifactError,
-        match=f"contains no training logs; put Parquet logs into {tmp_path / 'train'}",
-    ):
+    with pytest.raises(ArtifactError, match=str(tmp_path / "train")):
         Dataset.open(tmp_path)
-
-
-def test_a_log_that_is_gone_is_missed(dataset):
-    dataset.train[1].unlink()
-    with pytest.raises(
-        ArtifactError, match=r"train/0001\.parquet: missing since dataset\.json was written"
-    ):
-        Dataset.open(dataset.path)
-
-
-def test_a_log_that_came_later_is_noticed(dataset):
-    shutil.copy(dataset.train[0], dataset.path / "train" / "0003.parquet")
-    with pytest.raises(
-        ArtifactError, match=r"train/0003\.parquet: new since dataset\.json was written"
-    ):
-        Dataset.open(dataset.path)
-
-
-def test_a_log_that_was_cut_is_noticed(dataset):
-    dataset.test[0].write_bytes(dataset.test[0].read_bytes()[:-9])
-    with pytest.raises(
-        ArtifactError,
-        match=r"test/000\.parquet: truncated or changed since dataset\.json was written",
-    ):
-        Dataset.open(dataset.path)
-
-
-def test_a_list_of_files_that_is_no_list_is_refused(dataset):
-    (dataset.path / "dataset.json").write_text('{"files": 3}')
-    with pytest.raises(ArtifactError, match="'files' must map names to hashes"):
-        Dataset.open(dataset.path)
 
 
 def test_a_bad_log_leaves_no_folder(tmp_path):

@@ -15,10 +15,7 @@ from softfin.stages.surrogates import calibrate, fit
 from softfin.storage.output_lock import lock_output
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory
 
-MESSAGE = (
-    rf"out: in use by another softfin run \(process {os.getpid()}\); wait until it ends, or set a "
-    "different --out"
-)
+MESSAGE = rf"out: in use .*\(process {os.getpid()}\).* --out"
 
 
 @lock_output

@@ -31,23 +31,17 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
     (tmp_path / "mine.yaml").write_text("fin: {plates: 3}\n")
     assert find_plant(str(tmp_path / "mine.yaml")).fin.stiffness.shape == (3,)
     (tmp_path / "bad.yaml").write_text("fin: {root_thickness_m: -0.01}\n")
-    with pytest.raises(
-        ConfigurationError, match=r"bad.yaml: fin.root_thickness_m = -0.01: .* greater than 0"
-    ):
+    with pytest.raises(ConfigurationError, match=r"bad\.yaml: fin\.root_thickness_m"):
         find_plant(str(tmp_path / "bad.yaml"))
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        (
-            "pool",
-            r"plant pool: unknown \(does not exist\); use tank, a tank's YAML file, a "
-            r"surrogate's folder",
-        ),
-        ("no_such_module:plant", "No module named 'no_such_module'"),
-        ("json:plant", "module .json. has no attribute .plant."),
-        ("math:pi", "a float is not a plant with limits, init and advance"),
+        ("pool", "plant pool: unknown"),
+        ("no_such_module:plant", "'no_such_module'"),
+        ("json:plant", "'plant'"),
+        ("math:pi", "a float is not a plant"),
     ],
 )
 def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):
@@ -64,9 +58,7 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
     if name == "tank":
         assert isinstance(find_plant(name), Tank)
     else:
-        with pytest.raises(
-            PlantError, match=f"moves in real time .* for the folder of this name, use ./{name}$"
-        ):
+        with pytest.raises(PlantError, match=rf"real time .* \./{name}$"):
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
     assert is_surrogate(f"./{name}")
@@ -85,9 +77,7 @@ def test_a_simulator_with_limits_that_no_fin_has_is_refused_before_anything_is_t
         "class Plant(PlainFin):\n    limits = PlainFin().limits._replace(velocity_max=9000.0)\n"
     )
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(
-        PlantError, match=r"plant my_fast_simulator:Plant: limits: velocity_max_rad_s is 9000"
-    ):
+    with pytest.raises(PlantError, match="my_fast_simulator:Plant: limits: velocity_max_rad_s"):
         find_plant("my_fast_simulator:Plant")
     sys.modules.pop("my_fast_simulator")
 
@@ -204,41 +194,20 @@ def test_a_plant_may_know_its_true_force():
     [
         (object(), "has no limits, init, advance"),
         (Backwards(), "angle_min < angle_max"),
-        (
-            Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))),
-            r"reading.force has shape \(33,\) for 33 ticks",
-        ),
-        (
-            Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))),
-            "reading.angle is float16",
-        ),
+        (Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))), r"reading.force .* \(33,\)"),
+        (Broken(lambda s, r: (s, r._replace(angle=jnp.float16(r.angle)))), "reading.angle"),
         (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),
         (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick must be 0.01 s"),
-        (
-            Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)),
-            "init and advance must return the same structure",
-        ),
+        (Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)), "the same structure"),
         (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
-        (Forgetful(), "the same state and command produce different readings"),
+        (Forgetful(), "different readings"),
         (Branching(), "no Python branches on values"),
-        (
-            Telling(lambda state: state["force"][:1]),
-            r"true_force has shape \(1,\); it must be \(2,\)",
-        ),
-        (Telling(lambda state: (0.0, 0.0)), "true_force returns a tuple; it must return an array"),
-        (
-            Telling(lambda state: state["force"].astype(int)),
-            "true_force is int32; it must be float32",
-        ),
-        (Telling(lambda state: state["force"] / 0), "true_force is not finite under Command"),
-        (
-            Telling(true_force_of_a_branch),
-            "jit or vmap fails for true_force .*no Python branches on values",
-        ),
-        (
-            Telling(true_force_that_counts),
-            "true_force changes the state; it must only read the state",
-        ),
+        (Telling(lambda state: state["force"][:1]), r"true_force has shape \(1,\)"),
+        (Telling(lambda state: (0.0, 0.0)), "true_force returns a tuple"),
+        (Telling(lambda state: state["force"].astype(int)), "true_force is int32"),
+        (Telling(lambda state: state["force"] / 0), "true_force is not finite"),
+        (Telling(true_force_of_a_branch), "true_force .*no Python branches on values"),
+        (Telling(true_force_that_counts), "true_force changes the state"),
     ],
 )
 def test_the_conformance_kit_names_the_fault(plant, words):

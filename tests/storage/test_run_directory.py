@@ -1,15 +1,12 @@
 """Checkpoints: leaves by name, strictly, and only those of the software that reads them."""
 
 import re
-import struct
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
-from tensorboardX.proto.event_pb2 import Event, SessionLog
-from tensorboardX.record_writer import RecordWriter
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.storage import run_directory as checkpoint
@@ -47,10 +44,10 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
     assert metadata == {"updates": 7}
     names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
     assert names == {
-        "tree.weights['kernel']",
-        "tree.weights['bias']",
-        "tree.pair[0]",
-        "tree.pair[1]",
+        "tree.weights.kernel",
+        "tree.weights.bias",
+        "tree.pair.0",
+        "tree.pair.1",
     }
 
 
@@ -73,42 +70,24 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
 @pytest.mark.parametrize(
     ("like", "words"),
     [
-        (
-            STATE._replace(pair=(jnp.int32(0),)),
-            r"tree.pair\[1\] is float32 \(3,\) in the checkpoint, missing in this run",
-        ),
-        (
-            STATE._replace(pair=(*STATE.pair, jnp.ones(1))),
-            r"tree.pair\[2\] is missing in the checkpoint, float32 \(1,\) in this run",
-        ),
+        (STATE._replace(pair=(jnp.int32(0),)), r"tree.pair.1 was 'float32 \(3,\)' and is None"),
         (
             STATE._replace(pair=(jnp.int32(0), jnp.ones(2))),
-            r"is float32 \(3,\) in the checkpoint, float32 \(2,\) in this run",
+            r"was 'float32 \(3,\)' and is 'float32 \(2,\)'",
         ),
         (
             STATE._replace(pair=(jnp.float32(0), jnp.ones(3))),
-            r"is int32 \(\) in the checkpoint, float32 \(\) in this run",
+            r"was 'int32 \(\)' and is 'float32 \(\)'",
         ),
     ],
 )
 def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
-    with pytest.raises(
-        ArtifactError,
-        match=rf"does not match this training state \(.*{words}\); start again with --over",
-    ):
+    with pytest.raises(ArtifactError, match=rf"{words}\); start again with --overwrite"):
         saved.load(like)
 
 
-def test_with_resume_and_overwrite_the_run_goes_on_if_it_can(tmp_path, saved):
-    state, metadata = RunDirectory(tmp_path / "out", {"seed": 0}, resume=True, overwrite=True).load(
-        STATE
-    )
-    np.testing.assert_array_equal(state.weights["kernel"], STATE.weights["kernel"])
-    assert metadata == {"updates": 7}
-
-
 @pytest.mark.parametrize("name", ["seed 1", "damaged", "other version"])
-def test_with_resume_and_overwrite_a_checkpoint_that_cannot_be_resumed_is_dropped(
+def test_a_checkpoint_that_cannot_be_resumed_is_refused_and_can_be_discarded(
     tmp_path, saved, monkeypatch, name
 ):
     fingerprint = {"seed": 1} if name == "seed 1" else {"seed": 0}
@@ -118,13 +97,8 @@ def test_with_resume_and_overwrite_a_checkpoint_that_cannot_be_resumed_is_droppe
         monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
     with pytest.raises(ArtifactError, match="--overwrite"):
         RunDirectory(tmp_path / "out", fingerprint, resume=True)
-    anew = RunDirectory(tmp_path / "out", fingerprint, resume=True, overwrite=True)
+    anew = RunDirectory(tmp_path / "out", fingerprint, overwrite=True)
     assert anew.load(STATE) is None
-
-
-def test_with_resume_and_overwrite_a_checkpoint_that_does_not_fit_is_dropped(tmp_path, saved):
-    both = RunDirectory(tmp_path / "out", {"seed": 0}, resume=True, overwrite=True)
-    assert both.load(STATE._replace(pair=(jnp.int32(0),))) is None
 
 
 def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
@@ -144,49 +118,11 @@ def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
             attempt()
 
 
-def test_one_of_before_versions_were_kept_is_refused(tmp_path, saved):
-    weights = {"0": np.zeros(3, np.float32)}
-    data = safetensors.numpy.save(weights, {"facts": '{"fingerprint": {"seed": 0}}'})
-    (saved.folder / CHECKPOINT).write_bytes(data)
-    with pytest.raises(ArtifactError, match="written by an older softfin, but this is softfin"):
-        saved.load(STATE)
-
-
 @needs_full_device
-@pytest.mark.parametrize("pattern", ["log.jsonl", "events.*"])
-def test_a_log_on_a_full_disk_raises_an_error(tmp_path, pattern):
+def test_a_log_on_a_full_disk_raises_an_error(tmp_path):
     log = RunLog(tmp_path)
     log.write(1, loss=0.5)
-    (file,) = tmp_path.glob(pattern)
-    fill(file)
-    message = rf"{file.name}: cannot be written \(No space left on device\); free disk space, then"
+    fill(log.path)
+    message = r"log.jsonl: cannot be written \(No space left on device\); free disk space, then"
     with pytest.raises(RunError, match=message):
         log.write(2, loss=0.5)
-
-
-def test_the_event_file_is_the_one_that_tensorboardx_would_write(tmp_path):
-    log = RunLog(tmp_path, rewind_to=4)
-    log.write(5, **{"seed0/reward": 0.5, "seed0/loss": float("nan")})
-    (file,) = tmp_path.glob("events.out.tfevents.*.softfin")
-    content = file.read_bytes()
-    events = []
-    position = 0
-    while position < len(content):
-        (length,) = struct.unpack_from("<Q", content, position)
-        # After the length and its checksum.
-        start = position + 12
-        events.append(Event.FromString(content[start : start + length]))
-        position = start + length + 4
-    version, restart, scalars = events
-    assert version.file_version == "brain.Event:2"
-    assert (restart.step, restart.session_log.status) == (5, SessionLog.START)
-    assert scalars.step == 5
-    reward, loss = scalars.summary.value
-    assert (reward.tag, reward.simple_value) == ("seed0/reward", 0.5)
-    assert loss.tag == "seed0/loss"
-    assert np.isnan(loss.simple_value)
-    writer = RecordWriter(str(tmp_path / "expected"))
-    for event in events:
-        writer.write(event.SerializeToString())
-    writer.close()
-    assert content == (tmp_path / "expected").read_bytes()

@@ -63,7 +63,6 @@ def test_the_folder_says_what_it_is(stored):
     assert description["members"] == 2
     assert description["parameters"] == small.surrogate().parameters()
     assert description["channels"]["in"] == ["command_angle_rad", "command_velocity_rad_s"]
-    assert description["networks"]["force"]["mirror"] is True
 
 
 def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):

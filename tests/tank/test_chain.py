@@ -32,23 +32,16 @@ def kinetic(angles, rates):
     velocity = velocities(angles, rates)
     _, normals = directions(angles)
     across = jnp.einsum("ipk,ik->ip", velocity, normals)
-    return (
-        0.5
-        * LENGTH
-        * (
-            (MASS[:, None] * (velocity**2).sum(-1)).mean(1) + (ADDED[:, None] * across**2).mean(1)
-        ).sum()
-    )
+    own = MASS[:, None] * (velocity**2).sum(-1)
+    return 0.5 * LENGTH * (own + ADDED[:, None] * across**2).mean(1).sum()
 
 
 def momentum(angles, rates):
     velocity = velocities(angles, rates)
     _, normals = directions(angles)
     across = jnp.einsum("ipk,ik->ip", velocity, normals)
-    density = (
-        MASS[:, None, None] * velocity + ADDED[:, None, None] * across[..., None] * normals[:, None]
-    )
-    return LENGTH * density.mean(1).sum(0)
+    water = ADDED[:, None, None] * across[..., None] * normals[:, None]
+    return LENGTH * (MASS[:, None, None] * velocity + water).mean(1).sum(0)
 
 
 @pytest.fixture(autouse=True)
@@ -60,9 +53,8 @@ def double():
 @pytest.fixture
 def moments():
     both = (MASS + ADDED) * LENGTH
-    return Moments(
-        *map(jnp.asarray, (both, both * LENGTH / 2, both * LENGTH**2 / 3, MASS * LENGTH))
-    )
+    orders = (both, both * LENGTH / 2, both * LENGTH**2 / 3, MASS * LENGTH)
+    return Moments(*map(jnp.asarray, orders))
 
 
 @pytest.fixture
@@ -80,12 +72,8 @@ def test_the_mass_matrix_gives_the_kinetic_energy_of_every_point(moments, moving
 def test_momentum_is_that_of_every_point(moments, moving):
     angles, rates = moving
     motion = chain.motion(chain.pose(angles, jnp.asarray(LENGTH)), rates)
-    np.testing.assert_allclose(
-        chain.resultant(angles, moments.times(motion)),
-        momentum(angles, rates),
-        rtol=1e-4,
-        atol=1e-6,
-    )
+    found = chain.resultant(angles, moments.times(motion))
+    np.testing.assert_allclose(found, momentum(angles, rates), rtol=1e-4, atol=1e-6)
 
 
 def test_momentum_projected_on_the_joints_is_the_mass_matrix_times_the_rates(moments, moving):
@@ -114,11 +102,8 @@ def test_centripetal_forces_are_the_loss_of_momentum_at_constant_rates(moments, 
 
 def test_a_load_on_the_tip_turns_each_plate_by_its_lever():
     angles = jnp.zeros(PLATES)
-    load = PlateWrench(
-        jnp.zeros(PLATES).at[-1].set(2.0),
-        jnp.zeros(PLATES),
-        jnp.zeros(PLATES).at[-1].set(2.0 * LENGTH),
-    )
+    last = jnp.zeros(PLATES).at[-1].set(2.0)
+    load = PlateWrench(last, jnp.zeros(PLATES), last * LENGTH)
     turning = chain.project(chain.pose(angles, jnp.asarray(LENGTH)), load)
     np.testing.assert_allclose(turning, 2.0 * LENGTH * np.ones(PLATES))
 

@@ -88,9 +88,8 @@ def test_a_plate_that_slides_along_itself_meets_blasius_friction_alone(water):
 def test_the_drag_moment_of_a_fin_turned_at_constant_speed_is_its_integral(water):
     rate = 3.0
     _, _, _, moments = prescribed(Fin(RIGID), water, np.full(400, rate), 1e-3, rate=rate)
-    assert moments[-1] == pytest.approx(
-        -0.5 * DENSITY * 2.0 * 0.08 * rate**2 * 0.2**4 / 4, rel=0.01
-    )
+    expected = -0.5 * DENSITY * 2.0 * 0.08 * rate**2 * 0.2**4 / 4
+    assert moments[-1] == pytest.approx(expected, rel=0.01)
 
 
 def test_a_fin_started_from_rest_feels_the_moment_of_its_own_and_the_added_mass():
@@ -127,16 +126,9 @@ def test_the_mean_thrust_of_a_rigid_beating_fin_is_lighthills(water):
 
 def test_the_first_wet_frequency_of_a_plate_is_chus():
     # Chu (1963): f_water / f_vacuum = (1 + pi/4 rho_water span / (rho_plate thickness))^(-1/2).
-    plate = FinConfig(
-        plates=12,
-        youngs_modulus_pa=7e6,
-        length_m=0.3,
-        root_length_m=0.0,
-        span_m=0.06,
-        root_thickness_m=0.01,
-        tip_thickness_ratio=1.0,
-        damping_s=0.0,
-    )
+    shape = {"length_m": 0.3, "root_length_m": 0.0, "span_m": 0.06, "root_thickness_m": 0.01}
+    uniform = {"tip_thickness_ratio": 1.0, "youngs_modulus_pa": 7e6, "damping_s": 0.0}
+    plate = FinConfig(plates=12, **shape, **uniform)
     fin = Fin(plate)
     water = Water(WaterConfig(added_mass_coefficient=1.0, drag_coefficient=0.0), plate)
     around = still(water)
@@ -216,10 +208,8 @@ def test_the_loads_never_feed_energy_into_the_fin(numbers):
     ("temperature", "density", "viscosity"), [(10, 999.70, 1.3065e-6), (20, 998.21, 1.0034e-6)]
 )
 def test_density_and_viscosity_are_those_of_fresh_water(temperature, density, viscosity):
-    water = Water(
-        WaterConfig(temperature_c=temperature, drag_coefficient=2.0, friction_coefficient=1.0),
-        RIGID,
-    )
+    config = {"temperature_c": temperature, "drag_coefficient": 2, "friction_coefficient": 1}
+    water = Water(WaterConfig.build(config), RIGID)
     assert water.drag[0] / 0.08 == pytest.approx(density, rel=1e-5)
     assert (water.friction[0] / (water.drag[0])) ** 2 * 0.2 == pytest.approx(viscosity, rel=6e-3)
 

@@ -1,6 +1,7 @@
 """A fin on a mount that moves: towed, speeded up, in a stream and turned."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,16 +24,8 @@ ADDED = DENSITY * np.pi / 4 * SPAN**2
 """Added mass per length [kg/m]."""
 
 
-def mount(
-    velocity: tuple[float, float] = (0, 0),
-    acceleration: tuple[float, float] = (0, 0),
-    turn: float = 0,
-) -> Mount:
-    return Mount(
-        jnp.asarray(velocity, jnp.float32),
-        jnp.asarray(acceleration, jnp.float32),
-        jnp.float32(turn),
-    )
+def mount(velocity: Any = (0, 0), acceleration: Any = (0, 0), turn: float = 0) -> Mount:
+    return Mount(*(jnp.asarray(each, jnp.float32) for each in (velocity, acceleration, turn)))
 
 
 def tank(**water: float) -> Tank:
@@ -79,13 +72,8 @@ def test_the_thrust_of_a_pitching_plate_in_a_stream_is_lighthill_s(slip: float) 
     frequency = 2 * np.pi
     amplitude = 0.05
     rate = LENGTH * 2 * np.pi
-    drive = DriveConfig(
-        dead_time_s=0,
-        acceleration_rad_s2=4000,
-        stiffness_nm_rad=3000,
-        torque_limit_nm=1e4,
-        fastest_rad_s=50,
-    )
+    strong = {"acceleration_rad_s2": 4000, "stiffness_nm_rad": 3000, "torque_limit_nm": 1e4}
+    drive = DriveConfig(dead_time_s=0, fastest_rad_s=50, **strong)
     water = STILL.model_copy(update={"drag_coefficient": 0.0, "friction_coefficient": 0.0})
     swung = Tank(TankConfig(fin=RIGID, drive=drive, water=water, steps_per_tick=8))
     moved = mount((slip * rate, 0))

@@ -51,9 +51,7 @@ def test_all_that_differs_shrinks_with_the_part_and_is_as_usual_from_0_15_on():
 
 @pytest.mark.parametrize("part", [-0.1, 1.0, 1e9, float("nan"), float("inf")])
 def test_a_part_out_of_range_is_one_clear_error(part):
-    with pytest.raises(
-        ConfigurationError, match=r"^--randomize \S+: must be at least 0 .* and less than 1$"
-    ):
+    with pytest.raises(ConfigurationError, match=r"^--randomize"):
         DomainRandomization.of(part)
 
 

@@ -35,9 +35,8 @@ def test_an_ideal_sensor_reports_the_force():
 
 def test_the_filter_answers_a_step_with_its_time_constant():
     reading = record(with_only(filter_s=0.05), np.ones((50, 2)))
-    np.testing.assert_allclose(
-        reading[:, 0], 1 - np.exp(-np.arange(1, 51) * 0.01 / 0.05), rtol=1e-5
-    )
+    expected = 1 - np.exp(-np.arange(1, 51) * 0.01 / 0.05)
+    np.testing.assert_allclose(reading[:, 0], expected, rtol=1e-5)
 
 
 def test_noise_is_white_and_of_its_standard_deviation():
@@ -63,24 +62,18 @@ def test_zeroing_is_what_a_mean_at_rest_would_be():
     with_drift = {"noise_n": 0.05, "drift_n": 0.05, "drift_s": 30.0}
     fins = 2000
     keys = jax.random.split(jax.random.key(3), fins)
-    raw = jax.vmap(
-        lambda key: read(Sensor(with_only(**with_drift, zero_s=0.0)), jnp.zeros((200, 2)), key)
-    )(keys)
+    many = jax.vmap(read, in_axes=(None, None, 0))
+    raw = many(Sensor(with_only(**with_drift, zero_s=0.0)), jnp.zeros((200, 2)), keys)
     by_hand = np.asarray(raw[:, -1] - raw.mean(axis=1))
-    zeroed = jax.vmap(lambda key: read(Sensor(with_only(**with_drift)), jnp.zeros((1, 2)), key)[0])(
-        keys
-    )
+    sensor = Sensor(with_only(**with_drift))
+    zeroed = many(sensor, jnp.zeros((1, 2)), keys)[:, 0]
     assert np.asarray(raw[:, -1]).std() == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
     # The noise of one reading hides the error of the zero, so both are also compared without it.
     assert np.asarray(zeroed).std() == pytest.approx(by_hand.std(), rel=0.05)
-    sensor = Sensor(with_only(**with_drift))
     states = jax.vmap(sensor.rest)(keys)
-    quiet = jax.vmap(
-        lambda key: read(
-            Sensor(with_only(drift_n=0.05, drift_s=30.0, zero_s=0.0)), jnp.zeros((200, 2)), key
-        )
-    )
-    moved = np.asarray(quiet(keys)[:, -1] - quiet(keys).mean(axis=1)).var()
+    noiseless = Sensor(with_only(drift_n=0.05, drift_s=30.0, zero_s=0.0))
+    quiet = many(noiseless, jnp.zeros((200, 2)), keys)
+    moved = np.asarray(quiet[:, -1] - quiet.mean(axis=1)).var()
     expected = np.sqrt(moved + 0.05**2 / 200)
     assert np.asarray(states.zero - states.drift).std() == pytest.approx(expected, rel=0.05)
 
@@ -141,9 +134,9 @@ def test_resolution_rounds_and_lets_gradients_through():
     np.testing.assert_allclose(jacobian, np.eye(2), atol=1e-6)
 
 
-def test_a_sensor_turned_by_a_right_angle_reports_x_as_minus_y():
-    reading = record(with_only(misalignment_rad=np.pi / 2), np.array([[1.0, 0.0]]))
-    np.testing.assert_allclose(reading, [[0.0, -1.0]], atol=1e-6)
+def test_a_sensor_turned_by_a_right_angle_reports_x_as_minus_y_and_y_as_x():
+    reading = record(with_only(misalignment_rad=np.pi / 2), np.eye(2))
+    np.testing.assert_allclose(reading, [[0.0, -1.0], [1.0, 0.0]], atol=1e-6)
 
 
 def test_readings_end_at_the_range():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.errors import CommandError, ConfigurationError
+from softfin.core.errors import CommandError
 from softfin.core.plant import Plant, hold, roll
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank import IDEAL, SensorConfig, Tank, TankConfig, with_parameters
@@ -70,13 +70,11 @@ def test_a_tank_is_a_plant():
 
 def test_holding_a_command_is_issuing_it_every_tick():
     tank = COARSE
-    state, reading = jax.jit(lambda state, *command: tank.advance(state, Command(*command), 40))(
-        tank.init(KEY), jnp.float32(1.0), jnp.float32(2.0)
-    )
-    readings = jax.tree.map(lambda x: x[:40], rolled(tank, issue((1.0, 2.0, TICKS)))[1])
-    jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=0.025), reading, readings
-    )
+    command = Command(jnp.float32(1.0), jnp.float32(2.0))
+    state, reading = jax.jit(lambda command: tank.advance(tank.init(KEY), command, 40))(command)
+    ticked = rolled(tank, issue((1.0, 2.0, TICKS)))[1]
+    for one, other in zip(reading, ticked, strict=True):
+        np.testing.assert_allclose(one, other[:40], rtol=1e-4, atol=0.025)
     assert int(state.ticks) == 40
     np.testing.assert_allclose(reading.time, np.arange(1, 41) * TICK_S, rtol=1e-6)
 
@@ -122,14 +120,10 @@ def test_a_rigid_fin_at_constant_speed_feels_drag_across_and_its_own_centrifugal
     length = config.fin.length_m
     middles = (np.arange(10_000) + 0.5) / 10_000 * length
     speed = rate * middles
-    drag = (
-        0.5 * 998.2 * config.water.drag_coefficient * (fin.span(middles) * speed**2).mean() * length
-    )
-    centrifugal = (
-        fin.density_kg_m3
-        * (fin.span(middles) * fin.thickness(middles) * rate * speed).mean()
-        * length
-    )
+    span = fin.span(middles)
+    drag = 0.5 * 998.2 * config.water.drag_coefficient * (span * speed**2).mean() * length
+    mass = fin.density_kg_m3 * span * fin.thickness(middles)
+    centrifugal = (mass * rate * speed).mean() * length
     assert across == pytest.approx(-drag, rel=0.01)
     assert along == pytest.approx(centrifugal, rel=0.02)
 
@@ -141,11 +135,8 @@ def test_in_vacuum_the_force_summed_twice_is_the_way_of_the_centre_of_mass():
     force = np.asarray(rolled(tank, issue((1.0, 2.0, 1000)))[1].force, float)
     np.testing.assert_allclose(force.sum(0) * TICK_S, 0.0, atol=2e-4)
     inertia = tank.fin.inertia
-    static = float(
-        (
-            inertia.first + inertia.zeroth * tank.fin.plate_length * np.arange(config.fin.plates)
-        ).sum()
-    )
+    starts = tank.fin.plate_length * np.arange(config.fin.plates)
+    static = float((inertia.first + inertia.zeroth * starts).sum())
     way = static * (np.array([-np.cos(1.0), np.sin(1.0)]) - np.array([-1.0, 0.0]))
     impulses = np.cumsum(force, axis=0) * TICK_S
     summed = (impulses.sum(0) - impulses[-1] / 2) * TICK_S
@@ -218,10 +209,8 @@ def test_beating_makes_thrust_away_from_the_fin(centre, x, y):
 
 
 def test_a_stroke_is_a_pulse_of_five_to_fifteen_newtons_for_a_fraction_of_a_second():
-    for amplitude, velocity in ((1.5, 6.5), (2.0, 6.5)):
-        reading = rolled(
-            Tank(QUIET), issue((-amplitude / 2, velocity, 200), (amplitude / 2, velocity, 150))
-        )[1]
+    for end in (0.75, 1.0):
+        reading = rolled(Tank(QUIET), issue((-end, 6.5, 200), (end, 6.5, 150)))[1]
         size = np.linalg.norm(np.asarray(reading.force[200:]), axis=-1)
         assert 5.0 < size.max() < 15.0
         assert 0.2 < TICK_S * (size > size.max() / 2).sum() < 0.45
@@ -249,31 +238,12 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
 
 def test_commands_beyond_the_limits_are_refused_before_anything_moves():
     tank = COARSE
-    with pytest.raises(
-        CommandError, match=r"command angle = 2 rad: the plant accepts -1.5708 to 1.5708 rad"
-    ):
+    with pytest.raises(CommandError, match=r"angle = 2 rad: .* -1\.5708 to 1\.5708 rad"):
         roll(tank, tank.init(KEY), Command(jnp.array([0.0, 2.0]), jnp.array([1.0, 1.0])))
-    with pytest.raises(
-        CommandError, match=r"command velocity = 0.5 rad/s: the plant accepts 1 to 7.1 rad/s"
-    ):
+    with pytest.raises(CommandError, match=r"velocity = 0\.5 rad/s: .* 1 to 7\.1 rad/s"):
         tank.advance(tank.init(KEY), Command(jnp.float32(0.0), jnp.float32(0.5)), 3)
-    with pytest.raises(CommandError, match=r"command angle = nan"):
+    with pytest.raises(CommandError, match="angle = nan"):
         hold(tank, tank.init(KEY), Command(jnp.array([np.nan]), jnp.array([2.0])))
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"fin": {"youngs_modulus_pa": float("inf")}}, "fin.youngs_modulus_pa = inf: .* finite"),
-        (
-            {"water": {"stream_mass_kg": 0.05}},
-            "stream_mass_kg = 0.05: .* greater than or equal to 0.2",
-        ),
-    ],
-)
-def test_numbers_that_make_no_tank_are_refused_by_name(values, words):
-    with pytest.raises(ConfigurationError, match=words):
-        TankConfig.build(values)
 
 
 TANKS = {
@@ -305,16 +275,12 @@ def test_the_force_converges_as_the_square_of_the_step_and_the_default_step_is_f
         commands = jax.tree.map(lambda x: jnp.asarray(x[0], float), excitation(1, TICKS))
 
         def force(steps):
-            return np.asarray(
-                rolled(Tank(TankConfig(fin=fin, sensor=IDEAL, steps_per_tick=steps)), commands)[
-                    1
-                ].force
-            )
+            tank = Tank(TankConfig(fin=fin, sensor=IDEAL, steps_per_tick=steps))
+            return np.asarray(rolled(tank, commands)[1].force)
 
         best = force(40)
-        errors = {
-            steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / best.std() for steps in (2, 4)
-        }
+        spread = best.std()
+        errors = {steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / spread for steps in (2, 4)}
     assert errors[QUIET.steps_per_tick] < 0.005
     assert np.log2(errors[2] / errors[4]) == pytest.approx(2.0, abs=0.3)
 
@@ -366,12 +332,3 @@ def test_the_gradient_through_a_second_agrees_with_finite_differences():
         )
         # At rest every root and every absolute value stands at zero.
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(value(tank, jnp.zeros(3))))
-
-
-def test_an_unknown_parameter_is_refused_with_the_nearest_name():
-    with pytest.raises(ConfigurationError, match=r"did you mean 'span_m'"):
-        TankConfig.build({"fin": {"spam_m": 0.1}})
-    with pytest.raises(
-        ConfigurationError, match=r"water.drag_coefficient = -1.0: Input should be greater"
-    ):
-        TankConfig().changed(["water.drag_coefficient=-1.0"])

@@ -57,35 +57,20 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", r"not a table of numbers \(Empty CSV file\); repair the"),
-        (HEAD, "has 0 rows; it must have 1 to 360,000"),
-        (
-            HEAD + "0,1,1\n\n2,nan,1\n",
-            "row 2, column force_x_n: nan is not a finite number; correct it, or remove",
-        ),
-        (HEAD + "0,1,1\n2,1,-inf\n", "row 2, column force_y_n: -inf is not a finite number"),
-        (HEAD + "0,1,1\n2,1,\n", "row 2, column force_y_n: nan is not a finite number"),
-        (HEAD + "0,1,1\n2,1\n", r"not a table of numbers \(.*Expected 3 columns, got 2: 2,1"),
-        (HEAD + "0,1,1\n2,one,1\n", r"not a table of numbers \(.*'one'"),
-        (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s; times must increase"),
-        (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s; times must increase"),
-        (HEAD + "3,1,1\n4,1,1\n", "the first time is 3 s; start at 0"),
-        (
-            "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "exactly one column force_x_n, .* force_x_kn, .*; convert a column to newtons",
-        ),
-        (
-            "time_ms,force_x_n,force_y_n\n0,1,1\n",
-            "exactly one column time_s, got time_ms, .* to seconds",
-        ),
-        (
-            "time_s,force_x_n,torque\n0,1,1\n",
-            "exactly one column force_y_n, got time_s, force_x_n, torque; convert",
-        ),
-        (
-            "time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n",
-            "exactly one column time_s, got time_s, time_s",
-        ),
+        ("", "not a table of numbers"),
+        (HEAD, "has 0 rows"),
+        (HEAD + "0,1,1\n\n2,nan,1\n", "row 2, column force_x_n: nan"),
+        (HEAD + "0,1,1\n2,1,-inf\n", "row 2, column force_y_n: -inf"),
+        (HEAD + "0,1,1\n2,1,\n", "row 2, column force_y_n: nan"),
+        (HEAD + "0,1,1\n2,1\n", "got 2: 2,1"),
+        (HEAD + "0,1,1\n2,one,1\n", "'one'"),
+        (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s"),
+        (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s"),
+        (HEAD + "3,1,1\n4,1,1\n", "first time is 3 s"),
+        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "column force_x_n, .* force_x_kn"),
+        ("time_ms,force_x_n,force_y_n\n0,1,1\n", "column time_s, .* time_ms"),
+        ("time_s,force_x_n,torque\n0,1,1\n", "column force_y_n, .* torque"),
+        ("time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n", "column time_s, .* time_s, time_s"),
     ],
 )
 def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path, text, words):
@@ -98,12 +83,9 @@ def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path, text, words):
 
 def test_a_parquet_file_is_held_to_the_same(tmp_path):
     path = tmp_path / "reference.parquet"
-    pq.write_table(
-        pa.table({"time_s": [0.0, 1.0], "force_x_n": [1.0, None], "force_y_n": [0.0, 0.0]}), path
-    )
-    with pytest.raises(
-        ConfigurationError, match="row 2, column force_x_n: nan is not a finite number"
-    ):
+    columns = {"time_s": [0.0, 1.0], "force_x_n": [1.0, None], "force_y_n": [0.0, 0.0]}
+    pq.write_table(pa.table(columns), path)
+    with pytest.raises(ConfigurationError, match="row 2, column force_x_n: nan"):
         read_reference_file(path)
     path.write_bytes(b"PAR1 no")
     with pytest.raises(ConfigurationError, match="not a table of numbers"):
@@ -113,9 +95,7 @@ def test_a_parquet_file_is_held_to_the_same(tmp_path):
 def test_a_file_that_is_not_there_or_of_another_kind_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"none\.csv: cannot be read"):
         read_reference_file(tmp_path / "none.csv")
-    with pytest.raises(
-        ConfigurationError, match=r"reference\.txt: must be a \.csv or \.parquet file"
-    ):
+    with pytest.raises(ConfigurationError, match=r"reference\.txt: "):
         read_reference_file(tmp_path / "reference.txt")
 
 
@@ -125,9 +105,7 @@ def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
 
 
 def test_milliseconds_are_not_taken_for_seconds(tmp_path):
-    with pytest.raises(
-        ConfigurationError, match=r"time_s up to 2000 makes 4000 s, .* divide by 1000 if"
-    ):
+    with pytest.raises(ConfigurationError, match="time_s up to 2000"):
         read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))
 
 
@@ -140,5 +118,5 @@ def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypa
         pq.write_table(pa.table(columns), tmp_path / name)
     assert signals.MAX_REFERENCE_ROWS == 360_000
     monkeypatch.setattr(signals, "MAX_REFERENCE_ROWS", 100)
-    with pytest.raises(ConfigurationError, match="has 101 rows; it must have 1 to 100"):
+    with pytest.raises(ConfigurationError, match="has 101 rows"):
         read_reference_file(tmp_path / name)

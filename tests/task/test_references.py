@@ -6,13 +6,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
-from softfin.task.references import (
-    PAPER_CELLS,
-    PAPER_RANGE,
-    References,
-    divide,
-    stack_references,
-)
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, References, divide, stack_references
 
 
 def test_each_reference_of_the_paper_is_the_middle_of_its_cell_and_in_no_other() -> None:
@@ -43,9 +37,8 @@ def test_what_the_fin_cannot_make_is_drawn_at_its_edge() -> None:
 
 
 def test_the_bounding_box_is_round_all_cells() -> None:
-    assert bounding_box(
-        [Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]
-    ) == Cell(low=(-1, -0.5), high=(2.5, 4))
+    cells = [Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]
+    assert bounding_box(cells) == Cell(low=(-1, -0.5), high=(2.5, 4))
     assert bounding_box(PAPER_CELLS) == PAPER_RANGE
 
 
@@ -74,10 +67,7 @@ def test_a_lattice_lies_evenly_within_the_cell() -> None:
 
 
 def test_a_cell_upside_down_is_refused() -> None:
-    with pytest.raises(
-        ConfigurationError,
-        match=r"low .* must not be greater than high .*; use the lower corner first",
-    ):
+    with pytest.raises(ConfigurationError, match=r"low .* high"):
         Cell.build({"low": (1, 0), "high": (0, 1)})
 
 

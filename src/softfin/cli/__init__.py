@@ -6,9 +6,10 @@ import difflib
 import gc
 import importlib
 import importlib.metadata
+import inspect
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from softfin.core.printable import printable
@@ -21,8 +22,9 @@ if TYPE_CHECKING:
 class Command(NamedTuple):
     """One entry in the list of commands."""
 
-    module: str
-    """Module in this folder that defines the command's options."""
+    place: str
+    """The command's function, as ``module:name``; or, for a command that is a class, its module in
+    this folder."""
     summary: str
     """Description in the list of commands."""
 
@@ -30,45 +32,76 @@ class Command(NamedTuple):
 GROUPS = {
     "Start": {
         "demo": Command("reproduce", "run every stage on a simulated fin and write a report"),
-        "example": Command("example", "write a trained surrogate, controllers and a recording"),
-        "doctor": Command("doctor", "check this computer and the installation"),
+        "example": Command(
+            "softfin.stages.example:write_example",
+            "write a trained surrogate, controllers and a recording",
+        ),
+        "doctor": Command("softfin.doctor:doctor", "check this computer and the installation"),
     },
     "Data": {
-        "collect": Command("data", "record random fin motions and the resulting forces"),
-        "inspect": Command("data", "check logs before you fit a surrogate to them"),
-        "import-logs": Command(
-            "data", "convert CSV files, Parquet files or ROS 2 bags into a dataset"
+        "collect": Command(
+            "softfin.stages.collect:collect", "record random fin motions and the resulting forces"
         ),
-        "bag recover": Command("data", "recover the readings of a damaged recording"),
-        "bag convert": Command("data", "convert recordings to Parquet or ROS 2 bags"),
+        "inspect": Command(
+            "softfin.stages.logs:inspect_logs", "check logs before you fit a surrogate to them"
+        ),
+        "import-logs": Command(
+            "softfin.stages.logs:import_logs",
+            "convert CSV files, Parquet files or ROS 2 bags into a dataset",
+        ),
+        "bag recover": Command(
+            "softfin.stages.logs:recover_recording", "recover the readings of a damaged recording"
+        ),
     },
     "Model": {
-        "fit": Command("surrogates", "fit a surrogate model of the fin to logs"),
-        "calibrate": Command("surrogates", "fit the virtual tank to logs or to a plant"),
+        "fit": Command("softfin.stages.surrogates:fit", "fit a surrogate model of the fin to logs"),
+        "calibrate": Command(
+            "softfin.stages.surrogates:calibrate", "fit the virtual tank to logs or to a plant"
+        ),
     },
     "Controllers": {
-        "map": Command("controllers", "find the mean forces that a fin can produce"),
-        "train": Command("controllers", "train force controllers inside a surrogate"),
-        "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
-        "explore": Command(
-            "evaluation", "write an HTML page to try controllers or to move the fin by hand"
+        "map": Command(
+            "softfin.stages.controllers:map_forces", "find the mean forces that a fin can produce"
         ),
-        "export": Command("controllers", "export a controller or a surrogate to ONNX"),
+        "train": Command(
+            "softfin.stages.controllers:train", "train force controllers inside a surrogate"
+        ),
+        "evaluate": Command(
+            "softfin.stages.evaluation:evaluate",
+            "evaluate a controller on a fin over reference forces",
+        ),
+        "explore": Command(
+            "softfin.stages.explore:explore",
+            "write an HTML page to try controllers or to move the fin by hand",
+        ),
+        "export": Command("softfin.stages.controllers:export", "export a controller to ONNX"),
     },
     "Rig": {
-        "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
-        "rig zero": Command("rig", "zero the angle and the force"),
-        "rig commission": Command("rig", "run the acceptance steps for a new rig"),
-        "rig stop": Command("rig", "stop the motor and switch it off"),
-        "rig emulate": Command("rig", "emulate a rig without hardware"),
-        "run": Command("driving", "hold reference forces on the real fin"),
-        "monitor": Command("rig", "watch a recording in progress"),
-        "ros2": Command("driving", "hold reference forces from a ROS 2 topic on the real fin"),
+        "rig check": Command(
+            "softfin.stages.rig:check", "check drive, sensor and settings; nothing moves"
+        ),
+        "rig zero": Command("softfin.stages.rig:zero", "zero the angle and the force"),
+        "rig stop": Command("softfin.stages.rig:stop", "stop the motor and switch it off"),
+        "rig emulate": Command("softfin.stages.rig:emulate", "emulate a rig without hardware"),
+        "run": Command("softfin.stages.driving:run", "hold reference forces on the real fin"),
+        "monitor": Command(
+            "softfin.rig.monitor.web:monitor", "watch a recording in progress on a web page"
+        ),
+        "ros2": Command(
+            "softfin.stages.driving:ros2",
+            "hold reference forces from a ROS 2 topic on the real fin",
+        ),
     },
     "Robots": {
-        "robot check": Command("robot", "check rank, reach and stability of a multi-fin robot"),
-        "robot evaluate": Command("robot", "evaluate the wrench errors of a robot's node"),
-        "robot ros2": Command("robot", "run a ROS 2 node that distributes wrenches among fins"),
+        "robot check": Command(
+            "softfin.stages.robot:check", "check rank, reach and stability of a multi-fin robot"
+        ),
+        "robot evaluate": Command(
+            "softfin.stages.robot:evaluate", "evaluate the wrench errors of a robot's node"
+        ),
+        "robot ros2": Command(
+            "softfin.stages.robot:ros2", "run a ROS 2 node that distributes wrenches among fins"
+        ),
     },
     "Paper": {
         "reproduce": Command("reproduce", "run every stage of the paper and print its tables"),
@@ -119,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def list_actions(name: str) -> tuple[str, ...]:
-    """Return the second words of a command, such as ``recover`` and ``convert`` for ``bag``."""
+    """Return the second words of a command, such as ``recover`` for ``bag``."""
     return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
 
 
@@ -139,9 +172,16 @@ def _choices(word: str, allowed: tuple[str, ...]) -> str:
     return ", ".join(allowed) + (f"; did you mean {close[0]}?" if close else "")
 
 
+def import_function(name: str) -> Callable[..., object]:
+    """Import the function that is a command."""
+    module, _, function = COMMANDS[name].place.partition(":")
+    imported: Callable[..., object] = getattr(importlib.import_module(module), function)
+    return imported
+
+
 def import_arguments(name: str) -> "type[CommandOptions]":
     """Import the class of a command, such as `RigCheckArguments`, whose fields are its options."""
-    module = importlib.import_module(f"softfin.cli.{COMMANDS[name].module}")
+    module = importlib.import_module(f"softfin.cli.{COMMANDS[name].place}")
     words = name.replace("-", " ").split()
     class_name = "".join(map(str.capitalize, words)) + "Arguments"
     arguments: type[CommandOptions] = getattr(module, class_name)
@@ -154,7 +194,7 @@ def _run(name: str, words: list[str]) -> None:
 
     debug = "--debug" in words
     try:
-        from softfin.cli import options
+        from softfin.core import configuration  # noqa: F401  # finds missing packages
     except ModuleNotFoundError as error:
         if debug or (missing := what_is_missing(error)) is None:
             raise
@@ -163,20 +203,12 @@ def _run(name: str, words: list[str]) -> None:
     can_resume = False
     with contextlib.ExitStack() as until_exit:
         try:
-            arguments = import_arguments(name)
-            can_resume = "resume" in arguments.model_fields
-            try:
-                command = options.parse(arguments, words)
-            except options.HelpRequested:
-                sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
-                raise SystemExit(0) from None
-            command.check()
-            if getattr(command, "arm", False):
-                # Imported here, because most commands do not need the rig.
-                from softfin.rig.stop import undisturbed_after_stop
-
-                until_exit.enter_context(undisturbed_after_stop())
-            command()
+            if ":" not in COMMANDS[name].place:
+                _run_class(name, words, until_exit)
+                return
+            function = import_function(name)
+            can_resume = "resume" in inspect.signature(function).parameters
+            _run_function(name, function, words, until_exit)
         except KeyboardInterrupt as interrupt:
             if debug:
                 raise
@@ -188,6 +220,53 @@ def _run(name: str, words: list[str]) -> None:
                 raise
             message, code = _describe_error(error)
             _exit(f"softfin {name}: {message}", code)
+
+
+def _run_function(
+    name: str,
+    function: Callable[..., object],
+    words: list[str],
+    until_exit: contextlib.ExitStack,
+) -> None:
+    from softfin.cli import application
+    from softfin.cli.output import print_result, progress
+
+    if "-h" in words or "--help" in words:
+        sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
+        raise SystemExit(0)
+    call = application.parse(
+        function, [word for word in words if word not in ("--json", "--debug")]
+    )
+    if call.options.get("arm"):
+        _guard_stop(until_exit)
+    if "progress" in inspect.signature(function).parameters:
+        with progress() as report:
+            result = call.run(progress=report)
+    else:
+        result = call.run()
+    print_result(result, as_json="--json" in words)
+
+
+def _guard_stop(until_exit: contextlib.ExitStack) -> None:
+    # Imported here, because most commands do not need the rig.
+    from softfin.rig.stop import undisturbed_after_stop
+
+    until_exit.enter_context(undisturbed_after_stop())
+
+
+def _run_class(name: str, words: list[str], until_exit: contextlib.ExitStack) -> None:
+    from softfin.cli import options
+
+    arguments = import_arguments(name)
+    try:
+        command = options.parse(arguments, words)
+    except options.HelpRequested:
+        sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
+        raise SystemExit(0) from None
+    command.check()
+    if getattr(command, "arm", False):
+        _guard_stop(until_exit)
+    command()
 
 
 def _configure_process() -> None:

@@ -2,12 +2,9 @@
 stdout. No JAX."""
 
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, TextIO, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias, TypeVar
 
 from softfin.cli import options
 from softfin.cli.options import Option
@@ -17,26 +14,16 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.data.importing.importing import ImportConfig
-from softfin.rig.stop import discard_typed_ahead
+from softfin.rig.arming import Arming
 from softfin.storage import artifact as artifacts
 from softfin.storage import paths
 from softfin.storage.registry import is_live, resolve_plant
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-
     from softfin.rig.device import CheckResult
     from softfin.rig.robot_setup import RobotSetup
 
 StageConfig = TypeVar("StageConfig", bound=Configuration)
-
-PACE_S = 10.0
-"""Interval between progress lines [s]."""
-
-MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
-
-WORD = "move"
-"""Word that the operator types to let the fin move."""
 
 
 def folder_option(kind: str, positional: bool = False) -> Option:
@@ -136,8 +123,7 @@ class CommandOptions(Configuration):
         for finding in findings:
             results.append(finding)
             if not self.json_:
-                mark = MARKS[finding.state]
-                sys.stdout.write(f"{mark:>6}  {finding.what:14} {printable(finding.text)}\n")
+                sys.stdout.write(printable(str(finding)) + "\n")
                 sys.stdout.flush()
         if self.json_:
             self.tell([finding._asdict() for finding in results], "")
@@ -224,13 +210,6 @@ class LogOptions(ImportConfig):
         return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
-def on_terminal() -> bool:
-    """Whether an operator can answer: standard input exists and is a terminal."""
-    # sys.stdin is None if its descriptor is closed, although its declared type excludes that.
-    given: TextIO | None = sys.stdin
-    return given is not None and given.isatty()
-
-
 class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
@@ -243,146 +222,5 @@ class Armed(Configuration):
     def confirm(
         self, robot: "RobotSetup", motion: str | None = None, needs_proof: bool = True
     ) -> None:
-        """Print an open machine's notes and ask the operator to confirm the motion.
-
-        `motion` describes the motion if the machine does not follow commands. `needs_proof` also
-        requires `RobotSetup.check_ready` to pass. Raises ConfigurationError if the operator does
-        not confirm the motion, and RigError if the rig is not ready.
-        """
-        name = robot.machine.name
-        for note in robot.machine.notes:
-            sys.stderr.write(f"note: {printable(note)}\n")
-        if robot.warning is not None:
-            sys.stderr.write(f"warning: {printable(robot.warning)}\n")
-        if not self.arm:
-            state = "connected, but not armed" if motion is None else "not armed"
-            raise ConfigurationError(f"{name}: {state}; nothing moves without --arm")
-        if needs_proof:
-            robot.check_ready()
-        if self.yes:
-            return
-        if not on_terminal():
-            raise ConfigurationError(
-                f"{name}: --arm needs a terminal for the confirmation; in a script, add --yes"
-            )
-        limits = robot.machine.limits
-        motion = motion or (
-            f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
-            f"up to {limits.velocity_max:.2f} rad/s"
-        )
-        # Enter pressed before the prompt must not count as an answer.
-        discard_typed_ahead()
-        sys.stderr.write(
-            f"{printable(name)}: {motion}.\n"
-            f"Press Ctrl-C to stop it. Hands clear? Type {WORD!r} and press Enter: "
-        )
-        sys.stderr.flush()
-        if sys.stdin.readline().strip() != WORD:
-            raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")
-
-
-class ProgressLines:
-    """Progress lines on standard error: at the start and end of a stage, and at regular intervals
-    in between."""
-
-    def __init__(self, now: float) -> None:
-        self._lock = threading.Lock()
-        self._next_s = now + PACE_S
-        self._stage = ""
-        self._note = ""
-        self._done = 0.0
-        self._first = self._last = (now, 0.0)
-
-    def report(self, now: float, stage: str, done: float, note: str) -> None:
-        """Record the progress at time `now` [s]; print it if the stage starts or ends."""
-        with self._lock:
-            begins = stage != self._stage
-            ends = done >= 1 > self._done
-            if begins:
-                self._stage = stage
-                self._first = (now, done)
-            self._note = note
-            self._done = done
-            self._last = (now, done)
-            if begins or ends:
-                self._next_s = now
-        self.write(now)
-
-    def write(self, now: float) -> None:
-        """Print the progress of the stage if a line is due."""
-        with self._lock:
-            if now < self._next_s or (self._done >= 1 and now > self._last[0]) or not self._stage:
-                return
-            self._next_s = now + PACE_S
-            left = self._left_s(now)
-            line = f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip()
-            if left:
-                line += f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
-            sys.stderr.write(f"{line}\n")
-            sys.stderr.flush()
-
-    def _left_s(self, now: float) -> float | None:
-        """Return the estimated remaining time of the stage [s]; None before the second report and
-        after the end."""
-        (begin, first) = self._first
-        (end, last) = self._last
-        if last <= first or last >= 1:
-            return None
-        # At the pace so far: time per unit of work, times the work left, less the time since the
-        # last report.
-        pace_s = (end - begin) / (last - first)
-        return max(float(round(pace_s * (1 - last) - (now - end))), 0.0)
-
-
-@contextmanager
-def progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show progress bars on standard error, or lines if it is not a terminal, with the remaining
-    time of each stage."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.table import Column
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        lines = ProgressLines(time.monotonic())
-        ended = threading.Event()
-
-        # A stage may report nothing for minutes, so a thread keeps printing.
-        def keep_pace() -> None:
-            while not ended.wait(PACE_S / 10):
-                lines.write(time.monotonic())
-
-        threading.Thread(target=keep_pace, daemon=True).start()
-        try:
-            yield lambda stage, done, note: lines.report(time.monotonic(), stage, done, note)
-        finally:
-            ended.set()
-        return
-    # On a narrow terminal, the bar shrinks first, then the note is truncated.
-    bar = Column(min_width=4, ratio=1)
-    note = Column(no_wrap=True, overflow="ellipsis")
-    columns = (
-        TextColumn(
-            "{task.description:>12}", markup=False, table_column=Column(no_wrap=True, min_width=12)
-        ),
-        BarColumn(bar_width=None, table_column=bar),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}", markup=False, table_column=note),
-    )
-    with Progress(*columns, console=console, expand=True) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def report(stage: str, done: float, note: str) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=1.0, note="")
-            bars.update(tasks[stage], completed=done, note=printable(note))
-
-        yield report
+        """Ask the operator to confirm the motion; see `Arming.confirm`."""
+        Arming(self.arm, self.yes).confirm(robot, motion, needs_proof)

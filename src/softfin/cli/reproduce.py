@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softfin.cli.common import Configured, Out, PlantName, progress
+from softfin.cli.common import Configured, Out, PlantName
+from softfin.cli.output import progress
 from softfin.core.choices import ReproducePreset
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class ReproduceArguments(Configured):
     """Continue a stopped run."""
 
     def __call__(self) -> None:
-        from softfin.cli.tables import format_paper_tables
+        from softfin.stages.tables import format_paper_tables
 
         _run_stages(self, self.plant, self.preset, format_paper_tables())
 
@@ -53,10 +54,10 @@ class ReproduceArguments(Configured):
 def _run_stages(
     command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset, *notes: str
 ) -> None:
-    from softfin.cli.tables import format_table_one
     from softfin.evaluation.headline import headline
     from softfin.stages.reproduce import reproduce
     from softfin.stages.reproduce_config import PRESETS
+    from softfin.stages.tables import format_table_one
 
     config = command.configured(PRESETS[preset])
     with progress() as report:
@@ -99,8 +100,8 @@ def _run_stages(
 def _evaluation_tables(summaries: "Mapping[str, EvaluationSummary]") -> str:
     """Return Table II, then the moving references of each controller."""
     from softfin.cli.evaluation import moving_table
-    from softfin.cli.tables import table_two
     from softfin.evaluation.headline import error_decimals
+    from softfin.stages.tables import table_two
 
     lines = [table_two(summaries)]
     for name, summary in summaries.items():

@@ -6,7 +6,6 @@ programs.
 
 import dataclasses
 from collections.abc import Mapping
-from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
@@ -15,7 +14,6 @@ import numpy as np
 from softfin.control.references import check_within
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import RunError
-from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.operations import NUMPY, Array, Operations, select_operations
 from softfin.core.quantities import Command, Limits, action_to_command
 from softfin.gaits.reachable import Cells, ForceVector, Reachable, format_force
@@ -123,9 +121,6 @@ class LoadedController:
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
     clock: ActionClock = dataclasses.field(default=PAPER_CLOCK, metadata=STATIC)
 
-    def __post_init__(self) -> None:
-        register_pytrees(type(self), type(self.step))
-
     @property
     def kind(self) -> str:
         """Kind of the controller: single, grid or gaits."""
@@ -173,28 +168,3 @@ class LoadedController:
 def controller_clock(controller: object) -> ActionClock:
     """Return the clock of a controller; the paper's for a controller without `clock`."""
     return getattr(controller, "clock", PAPER_CLOCK)
-
-
-def register_pytrees(*classes: type) -> None:
-    """Register dataclasses as JAX pytrees; fields are leaves unless they are `STATIC` or `DROPPED`.
-
-    Controllers may be loaded before JAX is imported; registration then waits for that import.
-    """
-    for each in classes:
-        if each not in _REGISTERED and dataclasses.is_dataclass(each):
-            _REGISTERED.add(each)
-            when_jax_is_imported(partial(_register_pytree, each))
-
-
-_REGISTERED: set[type] = set()
-"""Classes that are registered with JAX, or will be once JAX is imported."""
-
-
-def _register_pytree(dataclass: type) -> None:
-    import jax
-
-    names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}
-    for field in dataclasses.fields(dataclass):
-        role = next(iter(field.metadata), "leaf")
-        names[role].append(field.name)
-    jax.tree_util.register_dataclass(dataclass, *names.values())

@@ -47,7 +47,6 @@ from softfin.control.controller import (
     Controller,
     Measured,
     controller_clock,
-    register_pytrees,
 )
 from softfin.control.references import controller_cells, reachable_set
 from softfin.core.action_clock import ActionClock
@@ -186,7 +185,6 @@ class DisturbanceObserver:
         if self.newtons is None:
             newtons = ObserverForces.for_fin(self.config, self.reachable)
             object.__setattr__(self, "newtons", newtons)
-        register_pytrees(type(self))
 
     @property
     def clock(self) -> ActionClock:

@@ -1,30 +1,43 @@
 """Export a controller's step as ONNX: measurements, reference and state in, command and next state
 out, three times per second.
 
-JAX traces the same formulas that NumPy runs on the robot. Before the file is written, the commands
-of onnxruntime and NumPy are compared over an episode. Requires the extra ``softfin[onnx]``.
+The step is traced from the formulas that NumPy runs on the robot, with ndonnx in NumPy's place.
+Before the file is written, the commands of onnxruntime and NumPy are compared over an episode.
+To run the file, feed the outputs ``next_NAME`` back as the inputs NAME. Its metadata contain names,
+units and rates as strings, with JSON for anything longer than a word. Requires the extra
+``softfin[onnx]``.
 """
 
+import importlib
+import importlib.metadata
+import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softfin.control.controller import LoadedController, Measured
+from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.json_object import JsonObject
-from softfin.core.operations import Array, jax_operations
+from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import action_to_command
 from softfin.gaits.reachable import bounding_box
-from softfin.storage.artifact import check_file
-from softfin.storage.onnx_file import (
-    FORCE_FRAME,
-    NEXT,
-    Exported,
-    encode_model,
-    import_extra,
-    keep_model,
-    open_session,
+from softfin.installation import how_to_add
+from softfin.storage.artifact import check_file, write_file
+
+EXTRA = ("ndonnx", "onnx", "onnxruntime")
+"""Modules of the extra that the export uses."""
+
+IR_VERSION = 10
+"""Version of the file format; onnxruntime 1.18 (2024) and later can run it."""
+
+NEXT = "next_"
+"""Prefix of the outputs that contain the state for the next step."""
+
+FORCE_FRAME = (
+    "force of the fin on its mount: +x is the thrust that pushes the robot forward; at angle "
+    "theta the fin points along (-cos theta, +sin theta) from its shaft"
 )
 
 COMMAND_OUTPUTS = ("command_angle", "command_velocity")
@@ -37,6 +50,66 @@ EPISODE = 240
 """Number of actions in the comparison."""
 
 
+class Exported(NamedTuple):
+    """Metadata of an exported file."""
+
+    bytes: int
+    opset: int
+    worst: float
+    """Largest difference from softfin's own commands during the check [rad, rad/s]."""
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+class OnnxOperations(Operations):
+    """Operations with ndonnx, which adds operators to a graph; both of two choices are computed."""
+
+    def __init__(self) -> None:
+        import ndonnx
+
+        self.xp = ndonnx
+        self._constants: dict[int, tuple[np.ndarray, Array]] = {}
+
+    def row(self, table: Array, index: Number) -> Array:
+        """Gather one row."""
+        return self.xp.take(table, self.xp.reshape(index, (1,)), axis=0)[0, ...]
+
+    def choose(
+        self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
+    ) -> Any:
+        """Select with ``where``, part by part."""
+        one: Any = then()
+        other: Any = otherwise()
+        return tuple(self.xp.where(condition, a, b) for a, b in zip(one, other, strict=True))
+
+    def dot(self, vector: Array, matrix: Array) -> Array:
+        """Multiply with a MatMul; ndonnx's own has branches for arrays without elements."""
+        operators = importlib.import_module("spox.opset.ai.onnx.v17")
+        product = operators.matmul(vector.unwrap_spox(), self.constant(matrix).unwrap_spox())
+        return self.xp.asarray(product)
+
+    def whole(self, number: Number) -> Number:
+        """Convert to int64."""
+        return self.xp.astype(number, self.xp.int64)
+
+    def real(self, number: Number) -> Number:
+        """Convert to float32."""
+        return self.xp.astype(number, self.xp.float32)
+
+    def clip(self, number: Number, low: Number, high: Number) -> Number:
+        """Limit a number."""
+        return self.xp.clip(number, low, high)
+
+    def constant(self, values: object) -> Any:
+        """Convert to constants of the graph, each array to one."""
+        if isinstance(values, tuple):
+            return type(values)(*map(self.constant, values))
+        if not isinstance(values, np.ndarray):
+            return values
+        # The array is kept, so that no other array can get its id.
+        return self._constants.setdefault(id(values), (values, self.xp.asarray(values)))[1]
+
+
 def export_onnx(controller: LoadedController, file: Path, overwrite: bool = False) -> Exported:
     """Write the step to a file, checked by onnx and run by onnxruntime.
 
@@ -46,40 +119,65 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
         RunError: the exported step's commands differ from NumPy's; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
-    import_extra("spox", "onnx", "onnxruntime")
-    from softfin.storage.onnx_graph import build_graph
-
+    _check_extra()
     initial = _named_state(controller.step.init())
-    measured = {name: np.zeros(shape, np.float32) for name, shape in MEASURED_SHAPES.items()}
-    model = build_graph(_step_function(controller), measured | initial)
-    data = encode_model(model, f"{controller.kind} controller", initial, _metadata(controller))
-    return keep_model(file, data, "commands", _difference(data, controller), MAX_COMMAND_DIFFERENCE)
+    model = _build_graph(controller, initial)
+    _describe(model, controller, initial)
+    data: bytes = model.SerializeToString()
+    worst = _difference(data, controller)
+    if not worst <= MAX_COMMAND_DIFFERENCE:
+        raise RunError(
+            f"{file}: not written: onnxruntime's commands differ from softfin's by {worst:.2g} "
+            f"(limit {MAX_COMMAND_DIFFERENCE:g}); use another version of onnxruntime"
+        )
+    write_file(file, data)
+    return Exported(
+        bytes=len(data),
+        opset=model.opset_import[0].version,
+        worst=worst,
+        inputs=tuple(each.name for each in model.graph.input),
+        outputs=tuple(each.name for each in model.graph.output),
+    )
+
+
+def _check_extra() -> None:
+    try:
+        for name in EXTRA:
+            importlib.import_module(name)
+    except ImportError as error:
+        raise ConfigurationError(
+            f"ONNX needs {error.name}, which is not installed; run {how_to_add('onnx')}"
+        ) from None
 
 
 def _named_state(state: Any) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in state._asdict().items()}
 
 
-def _step_function(controller: LoadedController) -> Callable[..., dict[str, Array]]:
-    """Return the step as a JAX function from the file's inputs to its outputs."""
-    operations = jax_operations()
-    jnp = operations.xp
+def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
+    """Return the ONNX model of the step, with the names and shapes of the file's inputs."""
+    import ndonnx
+
     limits = controller.limits
     ranges = ((limits.angle_min, limits.angle_max), (limits.velocity_min, limits.velocity_max))
-
-    def step(angle: Array, force: Array, reference: Array, **state: Array) -> dict[str, Array]:
-        now = jnp.concatenate([angle[None], reference])
-        before = type(controller.step.init())(**state)
-        after, action = controller.step.act(operations, before, now)
-        outputs = {}
-        command = action_to_command(limits, action)
-        for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
-            outputs[name] = jnp.clip(value, *_round_inwards(low, high))
-        for name, value in after._asdict().items():
-            outputs[f"{NEXT}{name}"] = jnp.reshape(value, jnp.shape(state[name]))
-        return outputs
-
-    return step
+    measured = {
+        name: ndonnx.argument(shape=shape, dtype=ndonnx.float32)
+        for name, shape in MEASURED_SHAPES.items()
+    }
+    state = {
+        name: ndonnx.argument(shape=value.shape, dtype=ndonnx.from_numpy_dtype(value.dtype))
+        for name, value in initial.items()
+    }
+    now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
+    before = type(controller.step.init())(**state)
+    after, action = controller.step.act(OnnxOperations(), before, now)
+    outputs = {}
+    command = action_to_command(limits, action)
+    for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
+        outputs[name] = ndonnx.clip(value, *map(float, _round_inwards(low, high)))
+    for name, value in after._asdict().items():
+        outputs[f"{NEXT}{name}"] = ndonnx.reshape(value, initial[name].shape)
+    return ndonnx.build(measured | state, outputs)
 
 
 def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
@@ -91,6 +189,26 @@ def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
     if last > high:
         last = np.nextafter(last, np.float32(-np.inf))
     return first, last
+
+
+def _describe(model: Any, controller: LoadedController, initial: dict[str, np.ndarray]) -> None:
+    """Add the metadata and the initial values of the state to a model, and check it."""
+    import onnx
+
+    version = importlib.metadata.version("softfin")
+    model.ir_version = IR_VERSION
+    model.producer_name = "softfin"
+    model.producer_version = version
+    model.graph.name = f"{controller.kind} controller"
+    properties: JsonObject = {"softfin": version, **_metadata(controller), "state": {}}
+    for name, value in initial.items():
+        properties["state"][name] = f"{NEXT}{name}"
+        properties[f"initial_{name}"] = value.tolist()
+    for name, entry in properties.items():
+        if not isinstance(entry, str):
+            properties[name] = json.dumps(entry)
+    onnx.helper.set_model_props(model, properties)
+    onnx.checker.check_model(model, full_check=True)
 
 
 def _metadata(controller: LoadedController) -> JsonObject:
@@ -129,8 +247,12 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     The reference steps and drifts over all cells and slightly beyond. Each implementation continues
     from its own state, so accumulating errors show up.
     """
+    import onnxruntime
+
     numbers = np.random.default_rng(0)
-    session = open_session(data)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     native = controller.step.init()
     state = _named_state(native)
     box = bounding_box(controller.cells)

@@ -141,8 +141,7 @@ def nearest_trackable(
         controller.check((x, y))
     if reachable is None or not beyond.any():
         return forces
-    low, high = reachable.bounds()
-    cells = controller_cells(controller) or (Cell(low=low, high=high),)
+    cells = controller_cells(controller) or (reachable.bounding_box(),)
     near = reachable.nearest_within(cells, forces[beyond])
     if np.isnan(near).any():
         x, y = forces[beyond][0].tolist()

@@ -123,7 +123,7 @@ def save_gaits(
     keys: Mapping[str, object],
     overwrite: bool = False,
 ) -> None:
-    """Write the gaits of a map as a controller, with its figure ``map.svg`` and ``map.png``,
+    """Write the gaits of a map as a controller, with its figure ``map.png``,
     completely or not at all.
 
     `tolerance_n` is the maximum force error of a gait whose force counts as reachable; `keys` are
@@ -148,7 +148,7 @@ def save_gaits(
     figure = map_figure(force_map, tolerance_n)
 
     def draw(folder: Path) -> None:
-        save_figure(figure, folder, "map")
+        save_figure(figure, folder / "map.png")
 
     write_controller(
         path,

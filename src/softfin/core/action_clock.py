@@ -12,7 +12,6 @@ from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
-from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.quantities import RATE_HZ, TICK_S
 
 PROPOSED_RATES_HZ = (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
@@ -136,15 +135,6 @@ class ActionClock(Configuration):
     def __str__(self) -> str:
         return f"{self.rate_hz:.4g} Hz, window of {self.window_ticks * TICK_S:g} s"
 
-
-def _register() -> None:
-    import jax
-
-    jax.tree_util.register_static(ActionClock)
-
-
-# A clock may be part of a pytree, in which it has no leaves.
-when_jax_is_imported(_register)
 
 PAPER_CLOCK = ActionClock()
 """Actions at 3.0 Hz and a window of 2 s (paper, Sec. IV-B)."""

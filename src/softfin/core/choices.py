@@ -3,10 +3,9 @@
 from typing import Literal, TypeAlias
 
 # Other modules have tables with an entry for each name: PRESETS for reproductions and calibrations,
-# SIGNALS for evaluations and UNITS for columns.
+# and UNITS for columns.
 ReproducePreset: TypeAlias = Literal["demo", "paper", "tiny"]
 CalibratePreset: TypeAlias = Literal["full", "quick"]
-MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
 ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
 

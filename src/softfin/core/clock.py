@@ -3,7 +3,7 @@ simulated as fast as the computer allows.
 
 All waiting goes through a clock: it creates the threads, events, locks and conditions, which must
 only be used with the clock that created them. The simulated clock is in
-`softfin.rig.simulated_clock`.
+`softfin.emulation.clock`.
 """
 
 import threading
@@ -17,6 +17,9 @@ shortest time that is treated as a suspend."""
 
 class Clock:
     """The computer's own clock; waits using `threading`."""
+
+    is_simulated = False
+    """Whether time is simulated: devices on the clock exist only in this process."""
 
     def __call__(self) -> float:
         """Return the monotonic time [s]."""

@@ -2,23 +2,18 @@
 ``path=value``."""
 
 import difflib
-import math
+import re
 import reprlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import pydantic
 import yaml
 
 from softfin.core.errors import ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
-
-MAX_YAML_VALUES = 100_000
-"""Maximum number of values in a YAML file with its aliases expanded. A few hundred bytes of nested
-aliases can expand to billions of values, which validation and messages would visit one by one; a
-real file has hundreds."""
 
 # Not typing.Self: the tests' run-time type check decorates functions individually and does not know
 # their class.
@@ -77,6 +72,71 @@ class Configuration(pydantic.BaseModel):
         return self.build(_merge(self.model_dump(), values), source)
 
 
+class Changes(NamedTuple):
+    """Changes of a configuration that were typed: a file, then single fields, which win."""
+
+    file: Path | None
+    """YAML file."""
+    fields: Mapping[str, str]
+    """Text of each field, by its option, such as ``--excitation.hold-min-s``; parsed as YAML."""
+    options: Sequence[str] = ()
+    """Other options of the command, to suggest one of them for a misspelt name."""
+
+    def apply(self, base: Config) -> Config:
+        """Return `base` with the changes; raises ConfigurationError for an unknown field."""
+        config = base if self.file is None else base.merged(read_yaml(self.file), str(self.file))
+        allowed = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
+        values: JsonObject = {}
+        for option, text in self.fields.items():
+            first = option.partition(".")[0]
+            if first not in allowed:
+                close = difflib.get_close_matches(first, [*self.options, *allowed], n=1)
+                nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
+                raise ConfigurationError(f"{option}: unknown option; {nearest}")
+            try:
+                value = parse_yaml(text)
+            except ValueError as error:
+                raise ConfigurationError(
+                    f"{option} {text[:200]}: not valid YAML ({error}); quote the value, or close "
+                    "its bracket"
+                ) from None
+            for name in reversed(option.removeprefix("--").replace("-", "_").split(".")):
+                value = {name: value}
+            values = _merge(values, value)
+        return config.merged(values, "options")
+
+
+Settings: TypeAlias = Configuration | Changes | Mapping[str, Any] | Path | str | None
+"""What a stage accepts as its configuration: a complete one, or changes of the default."""
+
+
+def configure(base: Config, given: Settings, **options: object) -> Config:
+    """Return the configuration of a stage; options that are not None win over what was given.
+
+    `given` is a configuration, which replaces `base`, or changes of `base`: a mapping, or a YAML
+    file. Raises ConfigurationError if it does not fit.
+    """
+    if isinstance(given, Configuration):
+        if type(given) is not type(base):
+            raise ConfigurationError(
+                f"config: a {type(given).__name__}; use a {type(base).__name__}"
+            )
+        base = given
+    elif isinstance(given, Changes):
+        base = given.apply(base)
+    elif isinstance(given, Mapping):
+        base = base.merged(given, "config")
+    elif given is not None:
+        base = base.merged(read_yaml(Path(given)), str(given))
+    changes = {name: value for name, value in options.items() if value is not None}
+    return base.merged(changes, "options") if changes else base
+
+
+def option_name(field: str) -> str:
+    """Return the option of a field, such as ``rate`` for ``rate_hz``: its unit is not typed."""
+    return re.sub("_(hz|rad_s|ms|s|)$", "", field).replace("_", "-")
+
+
 class Chosen:
     """Validator, for pydantic's BeforeValidator, of a field whose class depends on its values."""
 
@@ -109,39 +169,10 @@ def read_yaml(path: Path) -> JsonObject:
 
 def parse_yaml(text: str) -> Any:
     """Parse a YAML value; raises ValueError with a one-line message if the text cannot be used."""
-    loader = yaml.SafeLoader(text)
     try:
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        if _expanded_size(node, {}) > MAX_YAML_VALUES:
-            raise ValueError(
-                f"more than {MAX_YAML_VALUES:,} values with its aliases expanded; use fewer aliases"
-            )
-        return loader.construct_document(node)
+        return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
-    finally:
-        loader.dispose()
-
-
-def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
-    """Return the number of values in a node with its aliases expanded; infinite if it contains
-    itself.
-
-    Each node is visited once. `sizes` contains the results so far.
-    """
-    if node in sizes:
-        return sizes[node]
-    # Infinite until its parts are counted: expanding a part that refers back here would never end.
-    sizes[node] = math.inf
-    parts: list[yaml.Node] = []
-    if isinstance(node, yaml.SequenceNode):
-        parts = node.value
-    elif isinstance(node, yaml.MappingNode):
-        parts = [part for pair in node.value for part in pair]
-    sizes[node] = 1.0 + sum(_expanded_size(part, sizes) for part in parts)
-    return sizes[node]
 
 
 def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:

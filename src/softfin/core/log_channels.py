@@ -29,5 +29,3 @@ CURRENT_CHANNEL = "current_a"
 
 VOLTAGE_CHANNEL = "voltage_v"
 """Supply voltage of the drive [V]."""
-
-KNOWN_CHANNELS = (*LOAD_CHANNELS, CURRENT_CHANNEL, VOLTAGE_CHANNEL)

@@ -1,8 +1,8 @@
 """Operations used in the controllers' formulas: the array API, and operations that differ between
 array libraries.
 
-Each formula exists only once: NumPy runs it on the robot, and JAX compiles it and traces it for
-ONNX.
+Each formula exists only once: NumPy runs it on the robot, and JAX compiles it, and
+ndonnx traces it for ONNX.
 """
 
 from collections.abc import Callable

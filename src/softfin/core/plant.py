@@ -1,7 +1,8 @@
 """The Plant contract: anything that moves on command. The virtual tank, every surrogate and your
 own simulator are Plants.
 
-A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it.
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it. It does not
+change after it was made; `softfin.core.plant_identity` compares plants.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CommandError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
+
+# A clock may be part of a pytree, in which it has no leaves. It is registered here, because modules
+# for the robot must not import JAX.
+jax.tree_util.register_static(ActionClock)
 
 State: TypeAlias = PyTree
 Output = TypeVar("Output")
@@ -92,9 +97,6 @@ class EnsemblePlant(Plant, Protocol):
     @property
     def interval(self) -> ForceInterval:
         """Interval for the mean force, based on the disagreement between the members."""
-
-    def member(self, index: Int[Array, ""]) -> Plant:
-        """Return one member as a separate plant; `index` may be a traced value."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Like `advance`, but return the readings of every member: fields ``(members, ticks)``."""

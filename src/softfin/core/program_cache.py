@@ -5,16 +5,12 @@ change JAX. Only softfin's programs call `use_program_cache`. Variables that are
 precedence.
 """
 
-import contextlib
 import os
 from pathlib import Path
 
 SOFTFIN_VARIABLE = "SOFTFIN_CACHE"
 OFF = "off"
 JAX_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
-
-MAX_CACHE_BYTES = 2**30
-"""Size above which the least recently used programs are deleted [bytes]."""
 
 JAX_SETTINGS = {
     # Store small programs as well: an evaluation in the tank uses 45 of them, each of which takes
@@ -48,7 +44,7 @@ def describe_cache() -> str:
     if folder is None:
         return f"Compiled programs are not cached; set {SOFTFIN_VARIABLE}=FOLDER to cache them."
     return (
-        f"Compiled programs are cached in {folder} (at most {MAX_CACHE_BYTES / 2**30:g} GiB).\n"
+        f"Compiled programs are cached in {folder}, which you can delete at any time.\n"
         f"Set {SOFTFIN_VARIABLE}=FOLDER to use another folder, {SOFTFIN_VARIABLE}={OFF} to disable."
     )
 
@@ -61,27 +57,3 @@ def use_program_cache() -> None:
     os.environ[JAX_VARIABLE] = str(folder)
     for name, value in JAX_SETTINGS.items():
         os.environ.setdefault(name, value)
-    delete_old_programs(folder, MAX_CACHE_BYTES)
-
-
-def delete_old_programs(folder: Path, max_bytes: int) -> None:
-    """Delete the least recently used programs until the folder is small enough.
-
-    JAX can limit the size itself (`jax_compilation_cache_max_size`), but then reads the entire
-    folder whenever it adds a program: 60 ms each with 2,000 programs.
-    """
-    programs = []
-    # Another process may delete programs at the same time, and the folder may not exist.
-    with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            status = entry.stat()
-            # File systems mounted with noatime do not update the last access time.
-            last_use = max(status.st_atime, status.st_mtime)
-            programs.append((last_use, status.st_size, entry.path))
-    size = sum(program_bytes for _, program_bytes, _ in programs)
-    for _, program_bytes, path in sorted(programs):
-        if size <= max_bytes:
-            return
-        with contextlib.suppress(OSError):
-            Path(path).unlink()
-        size -= program_bytes

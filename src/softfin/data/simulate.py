@@ -15,7 +15,6 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray, PyTree
 
 from softfin.core.compilation import jit
 from softfin.core.plant import Plant, State, roll
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
 
@@ -55,7 +54,7 @@ def simulate(
     parts = []
     kinds = []
     for plant in plants[:1] if same else plants:
-        arrays, static = eqx.partition(jit_argument(plant), eqx.is_array)
+        arrays, static = eqx.partition(plant, eqx.is_array)
         parts.append((arrays, static))
         # Plants can share a program if all but the values of their arrays agree.
         shapes = jax.tree.map(lambda x: (x.shape, x.dtype), arrays)

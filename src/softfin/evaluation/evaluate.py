@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller, controller_clock
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
@@ -19,11 +19,11 @@ from softfin.control.references import (
     reachable_set,
     resolve_reference,
 )
-from softfin.core.choices import MovingReference
+from softfin.control.store import load_controller
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ, Limits
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
 from softfin.evaluation.experiment import (
@@ -34,33 +34,23 @@ from softfin.evaluation.experiment import (
     min_seconds,
     run_together,
 )
-from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
-from softfin.evaluation.moving_references import (
-    MovingScores,
-    moving_together,
-    plan_moving,
-)
+from softfin.evaluation.moving_references import MovingScores, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
-from softfin.evaluation.results import (
-    AxisScores,
-    EvaluationSummary,
-    MeanScores,
-    RandomErrors,
-    ReferenceScores,
-    score_keys,
-)
+from softfin.evaluation.results import EvaluationSummary, RangeErrors, ReferenceScores
 from softfin.evaluation.scores import (
     STILL_RAD_S,
     Scores,
-    SurrogateUncertainty,
+    data_distance,
     judged_force,
+    mean_scores,
+    outside_fraction,
+    outside_warning,
     score,
-    score_uncertainty,
+    scores_together,
     settled_band,
 )
 from softfin.gaits.reachable import Reachable
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
 
 
@@ -79,9 +69,8 @@ class EvaluateConfig(Configuration):
     """Number of repetitions with different randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the run, from which the seeds of the repetitions and all other randomness derive."""
-    moving: tuple[MovingReference, ...] = ()
-    """Kinds of moving references (`evaluation.moving_references.SIGNALS`), scaled to the
-    controller's range."""
+    moving: bool = False
+    """Whether to evaluate also steps of the reference within the controller's range."""
     recorded: Recorded | None = None
     """Another moving reference, read from a file; its last force is held for as long as the
     previous one."""
@@ -115,15 +104,15 @@ class Evaluation:
     """Number of independent repetitions; 1 for a deterministic plant, which ignores the seed."""
     recording: ExperimentRecording
     """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
-    uncertainty: SurrogateUncertainty | None = None
-    """Uncertainty estimated by a surrogate; None for other plants."""
+    distance: Float[np.ndarray, "references ticks"] | None = None
+    """Distance from a surrogate's training data; None for other plants."""
     warnings: tuple[str, ...] = ()
     """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
     """Experiments with moving references, grouped by length."""
     error_map: ErrorMap | None = None
     """Errors over the controller's range."""
-    random: RandomErrors | None = None
+    random: RangeErrors | None = None
     """Errors over random references."""
     reachable: Reachable | None = None
     """Forces that the fin can produce, if the controller's file contains them."""
@@ -131,7 +120,7 @@ class Evaluation:
     def summary(self) -> EvaluationSummary:
         """Return the conditions, the scores by reference and their mean, as written by
         `write_evaluation`."""
-        uncertain = None if self.uncertainty is None else self.uncertainty.warning()
+        uncertain = None if self.distance is None else outside_warning(self.distance)
         summary = cast(EvaluationSummary, artifacts.head("evaluation"))
         summary |= {
             "conditions": {
@@ -142,7 +131,6 @@ class Evaluation:
                 "window_samples": self.recording.clock.window_ticks,
                 "rate_hz": RATE_HZ,
                 "action_rate_hz": self.recording.clock.rate_hz,
-                "start": "at rest",
                 "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,
@@ -152,13 +140,11 @@ class Evaluation:
             "references": [
                 self._reference_scores(index) for index in range(len(self.config.references))
             ],
-            "mean": mean_scores(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
+            "mean": mean_scores(self.scores),
             "warning": "; ".join(filter(None, (*self.warnings, uncertain))) or None,
         }
         if self.moving:
-            summary["moving"] = []
-            for moving in self.moving:
-                summary["moving"] += moving.rows
+            summary["moving"] = [row for moving in self.moving for row in moving.rows()]
         if self.error_map is not None:
             summary["error_map"] = self.error_map.to_dict()
         if self.random is not None:
@@ -167,38 +153,18 @@ class Evaluation:
 
     def _reference_scores(self, index: int) -> ReferenceScores:
         tracked = self.recording.reference[index]
-        scores = mean_scores(jax.tree.map(lambda field: field[index], self.scores))
-        row: ReferenceScores = {
+        row: JsonObject = {
+            **mean_scores(self.scores, index),
             "reference_n": list(self.config.references[index]),
             "tracked_reference_n": [round(float(force), 4) for force in tracked],
-            "x": scores["x"],
-            "y": scores["y"],
-            "command_travel_rad_s": scores["command_travel_rad_s"],
-            "shaft_travel_rad_s": scores["shaft_travel_rad_s"],
             "still": bool((self.scores.late_travel[index] < STILL_RAD_S).all()),
         }
-        if self.uncertainty is not None:
-            row["surrogate"] = self.uncertainty.to_dict(index)
-        return row
-
-
-def mean_scores(scores: Scores) -> MeanScores:
-    """Return scores of one reference, or means over all, for JSON; their fields are ``(seeds, 2)``
-    and ``(seeds,)``."""
-    return {
-        "x": _axis_scores(scores, 0),
-        "y": _axis_scores(scores, 1),
-        "command_travel_rad_s": float(scores.command_travel.mean()),
-        "shaft_travel_rad_s": float(scores.shaft_travel.mean()),
-    }
-
-
-def _axis_scores(scores: Scores, axis: int) -> AxisScores:
-    row: JsonObject = {}
-    for name in ("error", "std", "raw_std", "reading_error"):
-        values = getattr(scores, name)
-        row |= score_keys(name, None if values is None else values[:, axis])
-    return cast(AxisScores, row)
+        if self.distance is not None:
+            row["surrogate"] = {
+                "out_of_distribution_fraction": outside_fraction(self.distance[index]),
+                "furthest": float(self.distance[index].max()),
+            }
+        return cast(ReferenceScores, row)
 
 
 def score_controller(
@@ -225,7 +191,7 @@ def score_controller(
     # Only after the references are resolved: these are what the feedback has to reach.
     if config.trim is not None:
         controller = DisturbanceObserver(controller, config.trim)
-    plans = plan_moving(controller, config.moving, config.recorded, config.strict)
+    plans = list(plan_moving(controller, config.moving, config.recorded, config.strict))
     keys = config.keys()
     seconds = config.seconds
     clock = controller_clock(controller)
@@ -261,41 +227,63 @@ def score_experiments(
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
-    return Evaluation(config, score(recording), repetitions, first, score_uncertainty(plant, first))
+    return Evaluation(config, score(recording), repetitions, first, data_distance(plant, first))
 
 
-def together(each: Sequence[Evaluation]) -> Evaluation:
-    """Combine evaluations into one, in which each becomes a repetition, averaged over its own
-    repetitions; recordings are those of the first."""
-    means = []
+def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
+    """Raise PlantError if a controller's commands exceed the plant's limits."""
+    for i, quantity in ((0, "angle"), (2, "velocity")):
+        ours = asked[i : i + 2]
+        theirs = taken[i : i + 2]
+        tolerance = 1e-3 * (theirs[1] - theirs[0])
+        if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
+            raise PlantError(
+                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
+                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
+                "surrogate of this plant"
+            )
+
+
+def together(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """Combine evaluations into one, in which each becomes a repetition; recordings and plans are
+    those of the first."""
+    first = evaluations[0]
     moving = []
-    estimates = []
-    warnings: dict[str, None] = {}
-    for evaluation in each:
-        # Average over its own repetitions first, so that all evaluations have equal weight.
-        means.append(jax.tree.map(lambda field: field.mean(axis=1), evaluation.scores))
-        moving.append(evaluation.moving)
-        if evaluation.uncertainty is not None:
-            estimates.append(evaluation.uncertainty)
-        # The keys of a dictionary: each warning once, in order.
-        warnings |= dict.fromkeys(evaluation.warnings)
-    scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
-    uncertainty = None
-    if estimates:
-        outside, furthest, half_width = map(np.stack, zip(*estimates, strict=True))
-        uncertainty = SurrogateUncertainty(
-            outside.mean(axis=0), furthest.max(axis=0), half_width.mean(axis=0)
-        )
-    return Evaluation(
-        config=each[0].config,
-        scores=scores,
-        repetitions=len(each),
-        recording=each[0].recording,
-        uncertainty=uncertainty,
-        reachable=each[0].reachable,
+    for same in zip(*(evaluation.moving for evaluation in evaluations), strict=True):
+        scores = scores_together([part.scores for part in same])
+        by_signal = zip(*(part.settling for part in same), strict=True)
+        settling = list(map(np.concatenate, by_signal))
+        moving.append(same[0]._replace(scores=scores, settling=settling))
+    distances = [each.distance for each in evaluations if each.distance is not None]
+    warnings = dict.fromkeys(chain(*(evaluation.warnings for evaluation in evaluations)))
+    return dataclasses.replace(
+        first,
+        scores=scores_together([evaluation.scores for evaluation in evaluations]),
+        repetitions=len(evaluations),
+        distance=np.concatenate(distances, axis=1) if distances else None,
         warnings=tuple(warnings),
-        moving=tuple(map(moving_together, zip(*moving, strict=True))),
+        moving=tuple(moving),
     )
+
+
+def evaluate_controller(
+    path: Path,
+    target: EvaluationTarget,
+    config: EvaluateConfig,
+    out: Path | None,
+    metadata: Mapping[str, object],
+    overwrite: bool = False,
+) -> EvaluationSummary:
+    """Evaluate the controller in a folder; with `out`, write the evaluation."""
+    controller = load_controller(path)
+    check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
+    evaluation = score_controller(controller, target, config)
+    conditions = {"controller": str(path), "kind": controller.kind, **metadata}
+    if out is None:
+        summary = evaluation.summary()
+        summary["conditions"] |= conditions
+        return summary
+    return write_evaluation(evaluation, out, conditions, overwrite)
 
 
 def write_evaluation(
@@ -304,31 +292,30 @@ def write_evaluation(
     metadata: Mapping[str, object] | None = None,
     overwrite: bool = False,
 ) -> EvaluationSummary:
-    """Write a folder with ``evaluation.json`` and the figures as ``.svg`` and ``.png``; return the
-    content of the JSON file.
+    """Write a folder with ``evaluation.json`` and the figures; return the content of the JSON
+    file.
 
     It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
-    ``conditions``, ``configuration`` (for a recorded reference, only ``rows`` and ``seconds``) and
-    ``provenance``. docs/files.md explains the keys.
+    ``conditions``, ``configuration`` (without a recorded reference) and ``provenance``;
+    docs/files.md explains the keys.
     """
+    # Matplotlib, which takes a second, is only imported to draw.
+    from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
+    from softfin.storage.figures import save_figure
+
     summary = evaluation.summary()
     config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
-    recorded = config.recorded and {
-        "rows": len(config.recorded.time_s),
-        "seconds": config.recorded.seconds,
-    }
     summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"})
-    summary["configuration"]["recorded"] = recorded
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "evaluation", summary)
-        save_figure(experiments_figure(evaluation.recording), folder, "experiments")
-        if evaluation.moving:
-            save_figure(moving_figure(evaluation.moving), folder, "moving")
+        save_figure(experiments_figure(evaluation.recording), folder / "experiments.png")
+        for moving in evaluation.moving:
+            save_figure(moving_figure(moving), folder / f"{moving.plan.name}.png")
         if evaluation.error_map is not None:
-            save_figure(error_map_figure(evaluation.error_map), folder, "error_map")
+            save_figure(error_map_figure(evaluation.error_map), folder / "error_map.png")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from softfin.control.controller import Controller, ControllerState, Measured, controller_clock
+from softfin.control.pytrees import register_controllers
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
 from softfin.core.errors import PlantError
@@ -27,7 +28,6 @@ from softfin.core.plant import (
     hold_action_with_true_force,
     masked_mean,
 )
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 
@@ -140,7 +140,8 @@ def run_together(
         # Shorter experiments hold their last force to the end of the longest; these ticks are cut
         # off below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
-    parties = (controller, jit_argument(plant))
+    register_controllers()
+    parties = (controller, plant)
     recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys, clock)
     # Each set gets its own rows of the results, and the ticks of its own duration.
     first = 0

@@ -1,17 +1,11 @@
-"""Summarize a run in one sentence: does the controller reach the target forces?"""
+"""Texts about the scores of a run: its outcome in one sentence, and the spread over seeds."""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from softfin.core.quantities import AXES
-from softfin.evaluation.results import (
-    EvaluationSummary,
-    MeanScores,
-    ReferenceScores,
-    RunResults,
-)
-from softfin.evaluation.scores import SETTLED_N
+from softfin.evaluation.results import EvaluationSummary, MeanScores, MovingRow, RunResults
 from softfin.gaits.reachable import force_decimals
 from softfin.storage.figures import with_minus_signs
 
@@ -23,8 +17,6 @@ class Headline(NamedTuple):
     """Kind of controller."""
     sentence: str
     """Outcome: whether the controller holds the references."""
-    caption: str
-    """Caption of the figure."""
     holds: bool
     """Whether the error at every reference is at most the band within which a force is settled, on
     both axes."""
@@ -39,61 +31,38 @@ def headline(results: RunResults) -> Headline | None:
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
         return None
-
-    def still_or_error(item: tuple[str, EvaluationSummary]) -> tuple[bool, float]:
-        return any(row["still"] for row in item[1]["references"]), greatest_error(item[1]["mean"])
-
-    name, summary = min(evaluated.items(), key=still_or_error)
-    (still, _) = still_or_error((name, summary))
+    name = min(
+        evaluated, key=lambda kind: (_is_still(evaluated[kind]), _error(evaluated[kind]["mean"]))
+    )
+    summary = evaluated[name]
     rows = summary["references"]
-    settled_n = summary["conditions"].get("settled_n", SETTLED_N)
+    settled_n = summary["conditions"]["settled_n"]
     decimals = error_decimals(summary) - 1
-    plain = results["controllers"][name] if results.get("trimmed") else None
-    too_far = _missed_references(rows, settled_n)
-    if still:
+    worst = max(rows, key=_error)
+    num_held = sum(_error(row) <= settled_n for row in rows)
+    if _is_still(summary):
         sentence = (
-            "The fin does not move at some of the target forces, so this controller does not work"
+            "The fin does not move at some of the target forces, so this controller does not work."
         )
-    elif too_far:
-        worst = max(too_far, key=lambda reference: too_far[reference])
-        force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
-        held = len(rows) - len(too_far)
-        sentence = (
-            f"The fin holds {held} of {len(rows)} forces within {settled_n:g} N on average; it "
-            f"misses {force} N by {too_far[worst]:.{decimals}f} N"
+    elif num_held < len(rows):
+        x, y = worst["reference_n"]
+        sentence = with_minus_signs(
+            f"The fin holds {num_held} of {len(rows)} forces within {settled_n:g} N on average; it "
+            f"misses ({x:g}, {y:g}) N by {_error(worst):.{decimals}f} N."
         )
     else:
-        forces = f"each of {len(rows)} forces" if len(rows) > 1 else "the force"
-        error = max(map(greatest_error, rows))
-        sentence = f"The fin holds {forces} within {within(error, decimals)} N on average"
-        if plain is not None:
-            before = max(map(greatest_error, plain["references"]))
-            sentence += f"; without force feedback, within {within(before, decimals)} N"
-    seconds = summary["conditions"]["duration_s"]
-    window = summary["conditions"]["window_samples"]
-    rate = summary["conditions"]["rate_hz"]
-    caption = (
-        f"Mean force over the last {window / rate:g} s (lines) and target force (dashed, with a "
-        f"band of ±{settled_n:g} N), starting from rest, for {seconds} s: controller "
-        f"{name}{', with force feedback' if plain is not None else ''}, the first of "
-        f"{summary['conditions']['seeds']} runs."
-    )
-    return Headline(name, f"{sentence}.", caption, not too_far and not still)
+        sentence = (
+            f"The fin holds each of {len(rows)} forces within {within(_error(worst), decimals)} N "
+            "on average."
+        )
+    return Headline(name, sentence, num_held == len(rows) and not _is_still(summary))
 
 
-def _missed_references(
-    rows: Sequence[ReferenceScores], settled_n: float
-) -> dict[tuple[float | int, ...], float | int]:
-    """Return the references with an error above `settled_n`, with the error [N]."""
-    errors = {}
-    for row in rows:
-        error = greatest_error(row)
-        if error > settled_n:
-            errors[tuple(row["reference_n"])] = error
-    return errors
+def _is_still(summary: EvaluationSummary) -> bool:
+    return any(row["still"] for row in summary["references"])
 
 
-def greatest_error(row: MeanScores) -> float:
+def _error(row: MeanScores) -> float:
     """Return the larger of the two axes' errors [N]."""
     return max(row[axis]["error_n"] for axis in AXES)
 
@@ -117,8 +86,14 @@ def over_seeds(interval: list[float] | None, values: Sequence[float], decimals: 
     there are two seeds, or nothing for one seed."""
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.{decimals - 1}f}"
-    return (
-        f"({min(values):.{decimals}f} to {max(values):.{decimals}f})"
-        if len(set(values)) > 1
-        else ""
-    )
+    if len(set(values)) > 1:
+        return f"({min(values):.{decimals}f} to {max(values):.{decimals}f})"
+    return ""
+
+
+def settling_time(row: MovingRow) -> str:
+    """Return the longest settling time of a moving reference's steps over all seeds; empty without
+    steps."""
+    if row["settles"] is None:
+        return ""
+    return f"{row['longest_settling_s']:.1f} s" if row["settles"] else "never"

@@ -3,7 +3,6 @@
 All references run in one compiled program, each from rest, with one seed.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -15,9 +14,9 @@ from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import CoverageError
 from softfin.core.randomness import named_generator
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
-from softfin.evaluation.results import ErrorMapPoint, ErrorMapRows, RandomAxisErrors, RandomErrors
+from softfin.evaluation.results import ErrorMapRows, RangeErrors
 from softfin.evaluation.scores import score
-from softfin.gaits.reachable import Cell, ForceVector, Reachable, bounding_box
+from softfin.gaits.reachable import Cell, ForceVector, bounding_box
 from softfin.task.references import PAPER_RANGE
 
 ReferenceForces = Float[np.ndarray, "references 2"]
@@ -30,7 +29,8 @@ MAX_RANDOM = 10_000
 """Maximum number of random references; they all run together."""
 
 ROUNDS = 100
-"""Number of draws of the requested size after which the cells are treated as unreachable."""
+"""Number of forces drawn per random reference; if too few of them are reachable, the cells are
+treated as unreachable."""
 
 
 class ErrorMap(NamedTuple):
@@ -52,23 +52,25 @@ class ErrorMap(NamedTuple):
 
     def to_dict(self) -> ErrorMapRows:
         """Return the map as values for JSON."""
-        rows: list[ErrorMapPoint] = [
-            {"reference_n": reference, "error_x_n": x, "error_y_n": y}
-            for reference, (x, y) in zip(self.references.tolist(), self.error.tolist(), strict=True)
-        ]
         return {
+            **summarize(self.references, self.error),
             "points": self.points,
             "low_n": list(self.cell.low),
             "high_n": list(self.cell.high),
-            "seeds": 1,
-            "not_covered": self.points**2 - len(rows) - self.not_reachable,
+            "not_covered": self.points**2 - len(self.references) - self.not_reachable,
             "not_reachable": self.not_reachable,
-            "references": rows,
-            "mean_x_n": float(self.error[:, 0].mean()),
-            "mean_y_n": float(self.error[:, 1].mean()),
-            "worst_x_n": float(self.error[:, 0].max()),
-            "worst_y_n": float(self.error[:, 1].max()),
         }
+
+
+def summarize(references: ReferenceForces, error: ReferenceForces) -> RangeErrors:
+    """Return the errors at many references (x, y) [N] as values for JSON."""
+    return {
+        "references_n": references.round(4).tolist(),
+        "errors_n": error.tolist(),
+        "mean_n": error.mean(axis=0).tolist(),
+        "p95_n": np.percentile(error, 95, axis=0).tolist(),
+        "worst_n": error.max(axis=0).tolist(),
+    }
 
 
 def controller_range(controller: Controller) -> Cell:
@@ -133,58 +135,31 @@ def random_errors(
     seed: int,
     seconds: int,
     key: PRNGKeyArray,
-) -> RandomErrors:
+) -> RangeErrors:
     """Compute the errors at random references within the controller's cells and the fin's reachable
-    forces.
-
-    The 95th percentile is over the references.
-    """
-    cells = controller_cells(controller) or (PAPER_RANGE,)
-    references = draw_references(
-        cells, reachable_set(controller), count, named_generator(seed, "evaluate/random")
-    )
-    errors = errors_at(controller, plant, references, seconds, key)
-    x = _random_errors(references, errors[:, 0])
-    y = _random_errors(references, errors[:, 1])
-    return {"count": count, "seeds": 1, "x": x, "y": y}
-
-
-def _random_errors(
-    references: ReferenceForces, error: Float[np.ndarray, "references"]
-) -> RandomAxisErrors:
-    return {
-        "mean_n": float(error.mean()),
-        "p95_n": float(np.percentile(error, 95)),
-        "worst_n": float(error.max()),
-        "worst_reference_n": references[error.argmax()].round(4).tolist(),
-    }
+    region."""
+    references = draw_references(controller, count, named_generator(seed, "evaluate/random"))
+    return summarize(references, errors_at(controller, plant, references, seconds, key))
 
 
 def draw_references(
-    cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
+    controller: Controller, count: int, generator: np.random.Generator
 ) -> ReferenceForces:
-    """Draw forces uniformly over the reachable part of the cells; raises CoverageError if hardly
-    any force in them is reachable.
-
-    If no cell has an area (all are points or lines), each is chosen with equal probability.
-    """
-    # Rejection sampling: choose a cell in proportion to its area, draw a force uniformly within it,
-    # and keep the force if it is reachable.
-    low = np.array([cell.low for cell in cells], float)
-    high = np.array([cell.high for cell in cells], float)
-    area = np.prod(high - low, axis=1)
-    probability = area / area.sum() if area.any() else np.full(len(cells), 1 / len(cells))
-    accepted = np.zeros((0, 2))
-    for _ in range(ROUNDS):
-        chosen = generator.choice(len(cells), count, p=probability)
-        forces = generator.uniform(low[chosen], high[chosen])
-        if reachable is not None:
-            forces = forces[reachable.contains(forces)]
-        accepted = np.concatenate([accepted, forces])
-        if len(accepted) >= count:
-            return accepted[:count]
-    raise CoverageError(
-        f"random = {count}: this fin can reach only {len(accepted)} of {count * ROUNDS} references "
-        "drawn from the controller's cells; train the controller for reachable forces (run softfin "
-        "map to plot them)"
-    )
+    """Draw forces uniformly over the reachable part of a controller's cells; raises CoverageError
+    if hardly any force in them is reachable."""
+    cell = controller_range(controller)
+    forces = generator.uniform(cell.low, cell.high, (ROUNDS * count, 2))
+    accepted = np.zeros(len(forces), bool)
+    for part in controller_cells(controller) or (cell,):
+        accepted |= ((forces >= part.low) & (forces <= part.high)).all(axis=1)
+    reachable = reachable_set(controller)
+    if reachable is not None:
+        accepted &= reachable.contains(forces)
+    references = forces[accepted][:count]
+    if len(references) < count:
+        raise CoverageError(
+            f"random = {count}: this fin can reach only {len(references)} of {len(forces)} "
+            "references drawn from the controller's range; train the controller for reachable "
+            "forces (run softfin map to plot them)"
+        )
+    return references

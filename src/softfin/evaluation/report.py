@@ -4,10 +4,9 @@ The page is self-contained and needs no network. Sections without data are omitt
 """
 
 import importlib.resources
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
 import jinja2
 import numpy as np
@@ -18,15 +17,8 @@ from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
-from softfin.evaluation.headline import error_decimals, headline, over_seeds
-from softfin.evaluation.results import (
-    AxisScores,
-    EvaluationSummary,
-    MeanScores,
-    MovingRow,
-    RunResults,
-)
-from softfin.evaluation.scores import SETTLED_N
+from softfin.evaluation.headline import error_decimals, headline, over_seeds, settling_time
+from softfin.evaluation.results import RunResults
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
     BLACK,
@@ -40,7 +32,7 @@ from softfin.storage.figures import (
 Figures = Mapping[str, Figure]
 """Figures by caption."""
 
-PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
+PARTS = ("surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
 
 
@@ -51,19 +43,12 @@ def write_report(
     omitted."""
     controllers = results.get("controllers") or {}
     configuration = results.get("configuration")
-    scores = (results.get("surrogate") or {}).get("scores") or {}
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters["number"] = _number
+    environment.filters["minus"] = with_minus_signs
     environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
-    conditions = None
-    has_intervals = False
-    if controllers:
-        # All controllers of a run are evaluated under the same conditions.
-        summary = next(iter(controllers.values()))
-        conditions = summary["conditions"]
-        has_intervals = summary["references"][0]["x"]["error_interval_n"] is not None
     template = (
         importlib.resources.files("softfin.evaluation")
         .joinpath("report.html.jinja")
@@ -74,17 +59,18 @@ def write_report(
         plant=results.get("plant"),
         headline=headline(results),
         stages=results.get("stages") or [],
-        overview=_overview(results),
-        settled=SETTLED_N if conditions is None else conditions.get("settled_n", SETTLED_N),
-        intervals=has_intervals,
-        table_one=list(scores.values()),
-        tables_two=_tables_two(controllers),
-        in_surrogate=_tables_two(results.get("in_surrogate") or {}),
-        conditions=conditions,
+        table_one=list(((results.get("surrogate") or {}).get("scores") or {}).values()),
+        controllers=controllers,
+        trimmed=results.get("trimmed") or {},
+        in_surrogate=results.get("in_surrogate") or {},
+        # All controllers of a run are evaluated under the same conditions.
+        conditions=next((each["conditions"] for each in controllers.values()), None),
+        error_decimals=error_decimals,
+        over_seeds=over_seeds,
+        settling_time=settling_time,
         **{f"{part}_figures": _svgs(figures.get(part, {})) for part in PARTS},
-        configuration=yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True)
-        if configuration
-        else None,
+        configuration=configuration
+        and yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
         provenance=results.get("provenance"),
     )
     artifacts.write_file(path, page)
@@ -94,103 +80,6 @@ def _number(value: float) -> str:
     """Format with three significant digits, as in the paper, and without an exponent for common
     magnitudes."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
-
-
-class Cell(NamedTuple):
-    """A mean over the seeds [N], and a text about their spread."""
-
-    mean: float
-    over_seeds: str
-    decimals: int
-    reading: float | None = None
-    """Mean of the same score, computed from the sensor readings [N]."""
-
-
-class TableRow(NamedTuple):
-    """One row of Table II."""
-
-    label: str
-    cells: list[Cell]
-    """x error, x std, y error, y std."""
-    raw_std_n: list[float]
-    """x, y."""
-    travel: float
-    still: bool
-
-
-class OverviewRow(NamedTuple):
-    """Scores of one controller in the plant, with force feedback, and in the surrogate."""
-
-    name: str
-    errors: list[list[Cell] | None]
-    settling: list[str | None]
-
-
-def _tables_two(summaries: Mapping[str, EvaluationSummary]) -> dict[str, list[TableRow]]:
-    return {name: _table_two(summary) for name, summary in summaries.items()}
-
-
-def _table_two(summary: EvaluationSummary) -> list[TableRow]:
-    decimals = error_decimals(summary)
-    rows = []
-    for row in summary["references"]:
-        label = _force(row["reference_n"])
-        rows.append(_table_row(label, row, decimals, row.get("still", False)))
-    rows.append(_table_row("mean", summary["mean"], decimals))
-    return rows
-
-
-def _table_row(label: str, row: MeanScores, decimals: int, still: bool = False) -> TableRow:
-    # In the order of the columns: x error, x std, y error, y std.
-    cells = []
-    for axis in AXES:
-        cells += [_error_cell(row[axis], decimals), _std_cell(row[axis], decimals)]
-    raw_std_n = [row[axis]["raw_std_n"] for axis in AXES]
-    return TableRow(label, cells, raw_std_n, row["shaft_travel_rad_s"], still)
-
-
-def _error_cell(scores: AxisScores, decimals: int) -> Cell:
-    text = over_seeds(scores["error_interval_n"], scores["error_seeds_n"], decimals)
-    return Cell(scores["error_n"], text, decimals, scores.get("reading_error_n"))
-
-
-def _std_cell(scores: AxisScores, decimals: int) -> Cell:
-    text = over_seeds(scores["std_interval_n"], scores["std_seeds_n"], decimals)
-    return Cell(scores["std_n"], text, decimals)
-
-
-def _overview(results: RunResults) -> list[OverviewRow]:
-    """Return one row per controller: mean errors and settling times in the plant, with force
-    feedback, and in the surrogate (errors only)."""
-    rows = []
-    parts = (results.get("controllers"), results.get("trimmed"), results.get("in_surrogate"))
-    for name in parts[0] or {}:
-        errors: list[list[Cell] | None] = []
-        settling = []
-        for part in parts:
-            summary = (part or {}).get(name)
-            cells = None
-            if summary:
-                decimals = error_decimals(summary)
-                cells = [_error_cell(summary["mean"][axis], decimals) for axis in AXES]
-            errors.append(cells)
-            settling.append(summary and _settling(summary.get("moving", [])))
-        rows.append(OverviewRow(name, errors, settling[:2]))
-    return rows
-
-
-def _settling(rows: Iterable[MovingRow]) -> str | None:
-    """Return the longest settling time over all steps and seeds, or "never" if a step does not
-    settle; None without steps."""
-    times = [row["longest_settling_s"] for row in rows if row["settles"] is not None]
-    if not times:
-        return None
-    settled = [time for time in times if time is not None]
-    return f"{max(settled):.1f} s" if settled == times else "never"
-
-
-def _force(reference: Iterable[float | int]) -> str:
-    return with_minus_signs(f"({', '.join(f'{value:g}' for value in reference)})")
 
 
 def _svgs(figures: Figures) -> dict[str, Markup]:

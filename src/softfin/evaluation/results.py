@@ -6,11 +6,7 @@ keys.
 
 from typing import NotRequired, TypedDict
 
-import numpy as np
-from jaxtyping import Float
-
 from softfin.core.json_object import JsonObject
-from softfin.core.window import interval
 
 
 class AxisScores(TypedDict):
@@ -35,17 +31,7 @@ class MeanScores(TypedDict):
 
     x: AxisScores
     y: AxisScores
-    command_travel_rad_s: float
     shaft_travel_rad_s: float
-
-
-class UncertaintyRow(TypedDict):
-    """Uncertainty estimated by a surrogate for one reference."""
-
-    out_of_distribution_fraction: float
-    furthest: float
-    half_width_x_n: float
-    half_width_y_n: float
 
 
 class ReferenceScores(MeanScores):
@@ -54,93 +40,42 @@ class ReferenceScores(MeanScores):
     reference_n: list[float]
     tracked_reference_n: NotRequired[list[float]]
     still: bool
-    surrogate: NotRequired[UncertaintyRow]
+    surrogate: NotRequired[JsonObject]
+    """Uncertainty estimated by a surrogate."""
     commanded: NotRequired[JsonObject]
     """Commands of a baseline: a sine or the actions of a gait."""
 
 
-class StepResponse(TypedDict):
-    """Response of the moving average to one step of the reference force."""
-
-    at_s: float
-    start_n: list[float]
-    to_n: list[float]
-    rise_x_s: float | None
-    rise_y_s: float | None
-    overshoot_x_percent: float | None
-    overshoot_y_percent: float | None
-    settling_s: float | None
-
-
-class TrackingErrors(TypedDict):
-    """Errors on one axis while the reference moves [N]."""
-
-    error_n: float
-    error_interval_n: list[float] | None
-    error_seeds_n: list[float]
-    instantaneous_error_n: float
-    reading_error_n: NotRequired[float]
-    reading_error_interval_n: NotRequired[list[float] | None]
-    reading_error_seeds_n: NotRequired[list[float]]
-
-
-class MovingRow(TypedDict):
+class MovingRow(MeanScores):
     """Scores for one moving reference."""
 
-    kind: str
     described: str
-    signal: JsonObject
-    """Configuration of the reference, without the rows of a recorded signal."""
     duration_s: float
-    replaced_s: float
-    x: TrackingErrors
-    y: TrackingErrors
     settles: bool | None
+    """Whether every step settles; None without steps."""
     longest_settling_s: float | None
-    steps: list[list[StepResponse]]
-    """Responses by step of the reference and by repetition."""
+    settling_s: list[list[float | None]]
+    """Settling times by repetition and by step of the reference."""
 
 
-class ErrorMapPoint(TypedDict):
-    """Errors at one reference of an error map [N]."""
+class RangeErrors(TypedDict):
+    """Errors (x, y) at many references, with one repetition [N]."""
 
-    reference_n: list[float]
-    error_x_n: float
-    error_y_n: float
+    references_n: list[list[float]]
+    errors_n: list[list[float]]
+    mean_n: list[float]
+    p95_n: list[float]
+    worst_n: list[float]
 
 
-class ErrorMapRows(TypedDict):
+class ErrorMapRows(RangeErrors):
     """An error map [N]."""
 
     points: int
     low_n: list[float]
     high_n: list[float]
-    seeds: int
     not_covered: int
     not_reachable: int
-    references: list[ErrorMapPoint]
-    mean_x_n: float
-    mean_y_n: float
-    worst_x_n: float
-    worst_y_n: float
-
-
-class RandomAxisErrors(TypedDict):
-    """Errors on one axis over random references [N]."""
-
-    mean_n: float
-    p95_n: float
-    worst_n: float
-    worst_reference_n: list[float]
-
-
-class RandomErrors(TypedDict):
-    """Errors over random references."""
-
-    count: int
-    seeds: int
-    x: RandomAxisErrors
-    y: RandomAxisErrors
 
 
 class EvaluationSummary(TypedDict):
@@ -155,7 +90,7 @@ class EvaluationSummary(TypedDict):
     warning: str | None
     moving: NotRequired[list[MovingRow]]
     error_map: NotRequired[ErrorMapRows]
-    random: NotRequired[RandomErrors]
+    random: NotRequired[RangeErrors]
     configuration: NotRequired[JsonObject]
     provenance: NotRequired[JsonObject]
 
@@ -193,15 +128,3 @@ class RunResults(TypedDict, total=False):
     peak_memory_gib: float
     configuration: JsonObject
     provenance: JsonObject
-
-
-def score_keys(name: str, values: Float[np.ndarray, " repetitions"] | None) -> JsonObject:
-    """Return the keys of one score on one axis [N]: mean, interval and values; empty without
-    values."""
-    if values is None:
-        return {}
-    return {
-        f"{name}_n": float(values.mean()),
-        f"{name}_interval_n": interval(values),
-        f"{name}_seeds_n": values.tolist(),
-    }

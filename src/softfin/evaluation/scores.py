@@ -12,14 +12,14 @@ the reference, averaged over the same samples if it moves (`softfin.core.window`
     std = standard deviation of m
     raw std = standard deviation of f
 
-Step responses are those of m. For a force that jumps instantly, m rises for 1.6 s and settles after
-at most 2.0 s.
+Settling times are those of m. For a force that jumps instantly, m settles after at most 2.0 s.
 
-`score_uncertainty` estimates how far scores in a surrogate can be trusted. It runs an ensemble over
-the recorded commands again, to get its distance from its training data and its intervals. Other
-plants have neither.
+`data_distance` shows how far scores in a surrogate can be trusted: it runs an ensemble over the
+recorded commands again, and returns the distance from its training data.
 """
 
+import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple, cast
 
@@ -30,12 +30,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, State
-from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import RATE_HZ, Command
-from softfin.core.window import PAPER_WINDOW, moving_average, moving_error
+from softfin.core.quantities import AXES, RATE_HZ, Command
+from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.results import StepResponse, UncertaintyRow
+from softfin.evaluation.results import AxisScores, MeanScores
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
@@ -69,8 +69,6 @@ class Scores(NamedTuple):
     """Standard deviation of the moving average [N]."""
     raw_std: Float[np.ndarray, "references seeds 2"]
     """Standard deviation of the force itself [N]."""
-    command_travel: Float[np.ndarray, "references seeds"]
-    """Path length of the target angle per second [rad/s]."""
     shaft_travel: Float[np.ndarray, "references seeds"]
     """Path length of the shaft per second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
@@ -101,11 +99,43 @@ def score(recording: ExperimentRecording) -> Scores:
         error=moving_error(force, reference, window),
         std=moving_average(force, window).std(axis=2),
         raw_std=force.std(axis=2),
-        command_travel=travel(np.asarray(recording.command.angle, np.float64), clock),
         shaft_travel=travel(shaft, clock),
         late_travel=travel(second_half, clock),
         reading_error=reading_error,
     )
+
+
+def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
+    """Return the scores of one reference, or their means over all, for JSON."""
+    chosen: Scores = jax.tree.map(
+        lambda field: field.mean(axis=0) if index is None else field[index], scores
+    )
+    axes = []
+    for axis in range(len(AXES)):
+        row: JsonObject = {}
+        for name in ("error", "std", "raw_std", "reading_error"):
+            values = getattr(chosen, name)
+            if values is not None:
+                own = values[:, axis]
+                row[f"{name}_n"] = float(own.mean())
+                row[f"{name}_interval_n"] = interval(own)
+                row[f"{name}_seeds_n"] = own.tolist()
+        axes.append(cast(AxisScores, row))
+    x, y = axes
+    return {
+        "x": x,
+        "y": y,
+        "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
+    }
+
+
+def scores_together(each: Sequence[Scores]) -> Scores:
+    """Combine scores of the same references into one in which each becomes a repetition: its mean
+    over its own repetitions, so that all have equal weight."""
+    together: Scores = jax.tree.map(
+        lambda *fields: np.stack([field.mean(axis=1) for field in fields], axis=1), *each
+    )
+    return together
 
 
 def judged_force(recording: ExperimentRecording) -> str:
@@ -140,123 +170,63 @@ def list_steps(reference: ForceSeries, window: int = PAPER_WINDOW) -> list[tuple
     return [(start, stop) for start, stop in held if start in starts]
 
 
-def step_responses(
+def settling_times(
     force: ForceSeries,
     reference: ForceSeries,
     settled_n: float = SETTLED_N,
     window: int = PAPER_WINDOW,
-) -> list[StepResponse]:
-    """Return the response of the moving average to every step of a reference, up to the next change
-    or the end.
-
-    ``rise_x_s`` is the time from 10% to 90% of the step [s]. ``overshoot_x_percent`` is the
-    overshoot beyond the new reference as a percentage of the step. ``settling_s`` is the time until
-    both axes stay within `settled_n` of the new reference [s]. Values are None if the axis does not
-    step or the force does not get that far.
-    """
+) -> Float[np.ndarray, " steps"]:
+    """Return for every step of a reference the time until the moving average of the force stays
+    within `settled_n` of it on both axes, up to the next change or the end [s]; NaN if it never
+    does."""
     average = moving_average(force, window)
-    asked = np.asarray(reference, np.float64)
-    return [
-        _response(average, asked, first, stop, settled_n, window)
-        for first, stop in list_steps(reference, window)
-    ]
+    times = []
+    for first, stop in list_steps(reference, window):
+        # Window k ends with tick k + window - 1, so window `first - window + 1` is the first that
+        # contains the new force. It exists, because the previous force was held for a full window.
+        after = average[first - window + 1 : stop - window + 1]
+        # after[k] ends k + 1 ticks after the step; the first settled one follows the last one
+        # outside.
+        outside = np.flatnonzero(np.abs(after - reference[first]).max(axis=1) > settled_n)
+        settled = 0 if not outside.size else int(outside[-1]) + 2
+        times.append(settled / RATE_HZ if settled <= len(after) else math.nan)
+    return np.array(times)
 
 
-def _response(
-    average: Float[np.ndarray, "windows 2"],
-    reference: ForceSeries,
-    first: int,
-    stop: int,
-    settled_n: float,
-    window: int,
-) -> StepResponse:
-    start = reference[first - 1]
-    to = reference[first]
-    # Window k ends with tick k + window - 1, so window `first - window + 1` is the first that
-    # contains the new force. It exists, because the previous force was held for a full window.
-    after = average[first - window + 1 : stop - window + 1]
-    rise_s: list[float | None] = [None, None]
-    overshoot: list[float | None] = [None, None]
-    for i in np.flatnonzero(start != to).tolist():
-        # 0 at the old reference and 1 at the new one, for steps in either direction.
-        part = (after[:, i] - start[i]) / (to[i] - start[i])
-        low = np.flatnonzero(part >= 0.1)
-        high = np.flatnonzero(part >= 0.9)
-        rise_s[i] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
-        overshoot[i] = 100 * max(float(part.max()) - 1, 0.0)
-    # after[k] ends k + 1 ticks after the step; the first settled one follows the last one outside.
-    outside = np.flatnonzero(np.abs(after - to).max(axis=1) > settled_n)
-    settled = 0 if not outside.size else int(outside[-1]) + 2
-    return {
-        "at_s": first / RATE_HZ,
-        "start_n": start.tolist(),
-        "to_n": to.tolist(),
-        "rise_x_s": rise_s[0],
-        "rise_y_s": rise_s[1],
-        "overshoot_x_percent": overshoot[0],
-        "overshoot_y_percent": overshoot[1],
-        "settling_s": settled / RATE_HZ if settled <= len(after) else None,
-    }
-
-
-class SurrogateUncertainty(NamedTuple):
-    """Uncertainty of a surrogate's forces for each reference."""
-
-    out_of_distribution_fraction: Float[np.ndarray, "references"]
-    """Fraction of the samples at a distance above 1; in the training data, 1 of 1000 samples is
-    above 1."""
-    furthest: Float[np.ndarray, "references"]
-    """Maximum distance from the training data."""
-    half_width: Float[np.ndarray, "references 2"]
-    """Half-width of the mean force's interval, averaged over the windows [N]."""
-
-    def to_dict(self, index: int) -> UncertaintyRow:
-        """Return the values for one reference as JSON."""
-        return {
-            "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
-            "furthest": float(self.furthest[index]),
-            "half_width_x_n": float(self.half_width[index, 0]),
-            "half_width_y_n": float(self.half_width[index, 1]),
-        }
-
-    def warning(self) -> str | None:
-        """Return a warning if too many samples are outside the training data, otherwise None."""
-        fraction = self.out_of_distribution_fraction.mean()
-        text = (
-            f"{fraction:.1%} of the samples are outside the surrogate's training data (distance up "
-            f"to {self.furthest.max():.1f}; the edge is at 1), so its forces there are extrapolated"
-        )
-        return text if fraction > MAX_OUTSIDE_FRACTION else None
-
-
-def score_uncertainty(
+def data_distance(
     plant: EvaluationTarget, recording: ExperimentRecording
-) -> SurrogateUncertainty | None:
-    """Return the uncertainty for every reference in its first repetition; None for plants that do
-    not estimate it."""
+) -> Float[np.ndarray, "references ticks"] | None:
+    """Return the distance of the motion from a surrogate's training data, for every reference in
+    its first repetition: 1 at the edge of the data. None for plants that do not estimate it."""
     if not isinstance(plant, EnsemblePlant):
         return None
     angle, velocity = recording.command
     commands = Command(jnp.asarray(angle[:, 0]), jnp.asarray(velocity[:, 0]))
-    ensemble = cast(EnsemblePlant, jit_argument(plant))
-    distance, force = map(np.asarray, _run_members(ensemble, commands))
-    # (members, references, windows, 2): the interval is calibrated for means over 2 s, whatever the
-    # clock of the controller.
-    means = np.stack([moving_average(member, PAPER_WINDOW) for member in np.moveaxis(force, 2, 0)])
-    half_width = np.asarray(plant.interval.half_width(means))
-    return SurrogateUncertainty(
-        (distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1)
-    )
+    return np.asarray(_run_ensemble(plant, commands))
 
 
 @eqx.filter_jit
-def _run_members(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
-    """Return the distances ``(references, ticks)`` and the members' forces ``(references, ticks,
-    members, 2)``."""
-
-    def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
-        state, each = plant.advance_members(state, command, 1)
-        return state, (plant.distance(state), jnp.asarray(each.force[:, 0]))
+def _run_ensemble(plant: EnsemblePlant, commands: Command) -> Float[Array, "references ticks"]:
+    def tick(state: State, command: Command) -> tuple[State, Array]:
+        state, _ = plant.advance(state, command, 1)
+        return state, plant.distance(state)
 
     start = plant.init(jax.random.key(0))
     return jax.vmap(lambda issued: jax.lax.scan(tick, start, issued)[1])(commands)
+
+
+def outside_fraction(distance: Float[np.ndarray, "*references ticks"]) -> float:
+    """Return the fraction of the samples outside the training data; of the training data
+    themselves, 1 sample in 1000 is outside."""
+    return float((distance > 1).mean())
+
+
+def outside_warning(distance: Float[np.ndarray, "references ticks"]) -> str | None:
+    """Return a warning if too many samples are outside the training data, otherwise None."""
+    fraction = outside_fraction(distance)
+    if fraction <= MAX_OUTSIDE_FRACTION:
+        return None
+    return (
+        f"{fraction:.1%} of the samples are outside the surrogate's training data (distance up "
+        f"to {distance.max():.1f}; the edge is at 1), so its forces there are extrapolated"
+    )

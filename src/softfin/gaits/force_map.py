@@ -40,9 +40,6 @@ class MapConfig(Configuration):
     spacing_n: PositiveFloat | None = None
     """Maximum distance between nodes of the lattice [N] before it is halved; null to derive it from
     `nodes`."""
-    tolerance_n: PositiveFloat | None = None
-    """Maximum force error of a gait whose force counts as reachable [N]; null for `TOLERANCE_N`,
-    scaled by the size of the fin."""
     clock: ActionClock = PAPER_CLOCK
     """Clock of the actions; a gait lasts one of its windows."""
     survey: SurveyConfig = SurveyConfig()
@@ -61,9 +58,10 @@ class MapConfig(Configuration):
         )
         return GaitTable.over(box, spacing_n, self.clock.window_actions)
 
-    def tolerance(self, surveyed: Reachable) -> float:
-        """Return the maximum force error of a gait whose force counts as reachable [N]."""
-        return self.tolerance_n or TOLERANCE_N * surveyed.size
+
+def force_tolerance(reachable: Reachable) -> float:
+    """Return the maximum force error of a gait whose force counts as reachable [N]."""
+    return TOLERANCE_N * reachable.size
 
 
 def find_force_map(
@@ -97,7 +95,7 @@ def find_force_map(
         config.gaits,
         lambda done, note: report(SURVEY_SHARE + (1 - SURVEY_SHARE) * done, note),
     )
-    tolerance_n = config.tolerance(surveyed.reachable)
+    tolerance_n = force_tolerance(surveyed.reachable)
     region = held_region(surveyed.reachable, gaits, tolerance_n)
     return ForceMap(gaits, region, config.clock)
 
@@ -127,14 +125,9 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
     )
 
 
-def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float], str | None]:
-    """Check whether the reachable forces of a map are star-shaped, as its region assumes.
-
-    Returns:
-        ``held_outside``, the fraction of nodes with an accurate gait that are clearly outside the
-        region, and ``missed_inside``, the fraction of nodes in the region without an accurate gait;
-        and a warning if one of them is large.
-    """
+def star_warning(force_map: ForceMap, tolerance_n: float) -> str | None:
+    """Return a warning if the reachable forces of a map are not star-shaped, as its region
+    assumes."""
     region = force_map.reachable
     nodes = force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
@@ -144,10 +137,10 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
     inside = region.contains(nodes)
     outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
     unmet = float((inside & ~held).sum() / max(inside.sum(), 1))
-    warning = (
+    if max(outside, unmet) <= NOT_STAR:
+        return None
+    return (
         "map: the region is stored as star-shaped about its centre, but that of this fin is not: "
         f"{outside:.0%} of the forces that gaits produce are outside the stored region, and no "
         f"gait was found for {unmet:.0%} of the forces inside it"
     )
-    star = {"held_outside": outside, "missed_inside": unmet}
-    return star, warning if max(outside, unmet) > NOT_STAR else None

@@ -50,9 +50,9 @@ DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
 """Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
 numbers and do not depend on a reach's last digits."""
 
-MAX_CHUNK_FORCES = 2048
-"""Maximum number of forces that `Reachable.nearest_within` processes together, which limits
-memory."""
+OUTLINE_POINTS = 8192
+"""Number of points by which the edge of a region or cell is represented in the search for the
+nearest force: about 2 mN apart for the paper's fin."""
 
 
 class Cell(Configuration):
@@ -75,19 +75,15 @@ class Cell(Configuration):
     @classmethod
     def around(cls, centre: ForceVector, width_n: float = 1.0) -> "Cell":
         """Build a square centred on a force."""
-        return cls(low=centre, high=centre).expanded(width_n / 2)
+        x, y = centre
+        half = width_n / 2
+        return cls(low=(x - half, y - half), high=(x + half, y + half))
 
-    def expanded(self, margin_n: float) -> "Cell":
-        """Build a cell that extends this one by a margin on all sides."""
+    def corners(self) -> Float[np.ndarray, "4 2"]:
+        """Return the corners of the cell in counterclockwise order [N]."""
         x0, y0 = self.low
         x1, y1 = self.high
-        return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
-
-    def clipped(self, low: Float[AnyArray, "2"], high: Float[AnyArray, "2"]) -> "Cell":
-        """Build the part of the cell between two corners; they must not be apart from it."""
-        low = np.maximum(self.low, low).tolist()
-        high = np.minimum(self.high, high).tolist()
-        return Cell(low=tuple(low), high=tuple(high))
+        return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float)
 
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
         """Return the centres of `count` x `count` equal parts of the cell."""
@@ -103,7 +99,9 @@ class Cell(Configuration):
         return float((x**2 + y**2) ** 0.5)
 
     def __str__(self) -> str:
-        return f"x {self.low[0]:g} .. {self.high[0]:g}, y {self.low[1]:g} .. {self.high[1]:g} N"
+        x0, y0 = self.low
+        x1, y1 = self.high
+        return f"x {x0:.4g} .. {x1:.4g}, y {y0:.4g} .. {y1:.4g} N"
 
 
 Cells: TypeAlias = tuple[Cell, ...]
@@ -154,26 +152,20 @@ class Reachable(NamedTuple):
     from +x."""
 
     @classmethod
-    def from_dict(cls, description: object) -> "Reachable":
+    def from_dict(cls, description: JsonObject) -> "Reachable":
         """Build a region from the result of `to_dict`.
 
         Raises:
             KeyError, TypeError, ValueError: the data do not describe a region.
         """
-        if not isinstance(description, dict):
-            raise TypeError(
-                f"reachable = {description!r}: must be an object with centre_n and radius_n"
-            )
         centre = np.asarray(description["centre_n"], np.float32)
         radius = np.asarray(description["radius_n"], np.float32)
-        if centre.shape != (2,) or radius.ndim != 1 or len(radius) < 3:
+        is_region = centre.shape == (2,) and radius.ndim == 1 and len(radius) >= 3
+        # Negated, so that NaN is refused as well.
+        if not is_region or not (np.isfinite([*centre, *radius]).all() and (radius >= 0).all()):
             raise ValueError(
-                f"reachable: centre_n must have 2 numbers and radius_n at least 3; got the shapes "
-                f"{centre.shape} and {radius.shape}"
-            )
-        if not np.isfinite(centre).all() or not (np.isfinite(radius) & (radius >= 0)).all():
-            raise ValueError(
-                "reachable: centre_n and radius_n must be finite, and no radius negative"
+                "reachable: centre_n must be 2 finite numbers, and radius_n at least 3, none of "
+                "them negative"
             )
         return cls(centre, radius)
 
@@ -229,63 +221,24 @@ class Reachable(NamedTuple):
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
     def nearest(self, force: Any) -> Forces:
-        """Return each force if it is inside, otherwise the nearest point on the edge [N]."""
+        """Return each force if it is inside, otherwise the nearest of `OUTLINE_POINTS` points on
+        the edge [N]."""
         at = np.asarray(force, float)
-        corners = self.corners().astype(float)
-        points = _on_sides(corners, at, 0, 1)
-        rounding_n = 1e-5 * float(np.max(self.radius))
-        inside = np.isclose(self.project(at), at, atol=rounding_n).all(axis=-1)
-        return np.where(inside[..., None], at, _choose_nearest(points, at))
+        inside = self.contains(at, 1e-5 * float(np.max(self.radius)))
+        return np.where(inside[..., None], at, _choose_nearest(_outline(self.corners()), at))
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
-        """Return for each force the nearest force inside both the region and a cell; NaN if there
-        is none."""
-        # The nearest force is the nearest point of a cell, of one of its sides or corners, or of
-        # the part of the region's edge inside a cell.
-        chunks = []
-        for start in range(0, max(len(forces), 1), MAX_CHUNK_FORCES):
-            chunk = forces[start : start + MAX_CHUNK_FORCES].astype(float)
-            candidates = []
-            for cell in cells:
-                candidates += [self._on_cell(cell, chunk), self._on_edge(cell, chunk)]
-            chunks.append(_choose_nearest(np.concatenate(candidates, axis=1), chunk))
-        return np.concatenate(chunks)
-
-    def _on_cell(
-        self, cell: Cell, forces: Float[np.ndarray, "forces 2"]
-    ) -> Float[np.ndarray, "forces candidates 2"]:
-        # Each coordinate is clipped to the cell, or is its lower or upper end: the nearest point of
-        # the cell, points on its four sides, and its four corners.
-        x, y = zip(np.clip(forces, cell.low, cell.high).T, cell.low, cell.high, strict=True)
-        candidates = np.empty((len(forces), 9, 2))
-        for index, point in enumerate(product(x, y)):
-            candidates[:, index, 0], candidates[:, index, 1] = point
-        return np.where(self.contains(candidates)[..., None], candidates, np.nan)
-
-    def _on_edge(
-        self, cell: Cell, forces: Float[np.ndarray, "forces 2"]
-    ) -> Float[np.ndarray, "forces candidates 2"]:
-        corners = self.corners().astype(float)
-        side = np.roll(corners, -1, axis=0) - corners
-        # Positions where each side enters and leaves the cell, as fractions of the side (Liang and
-        # Barsky 1984).
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one = (np.asarray(cell.low) - corners) / side
-            other = (np.asarray(cell.high) - corners) / side
-        # A side parallel to an axis is completely between the two edges of the cell, or completely
-        # outside.
-        between = (corners >= cell.low) & (corners <= cell.high)
-        first = np.where(side == 0, np.where(between, 0, np.inf), np.minimum(one, other))
-        last = np.where(side == 0, np.where(between, 1, -np.inf), np.maximum(one, other))
-        enter = first.max(axis=1).clip(0)
-        leave = last.min(axis=1).clip(max=1)
-        crosses = enter <= leave
-        # Sides that miss the cell have infinite positions, which must not be multiplied.
-        on_side = _on_sides(
-            corners, forces, np.where(crosses, enter, 0), np.where(crosses, leave, 0)
+        """Return for each force the nearest force inside both the region and a cell, to within the
+        spacing of `OUTLINE_POINTS` points on their edges; NaN if there is none."""
+        inside = self.contains(forces) & _in_cells(cells, forces)
+        # For a force outside, the nearest one is on the edge of the region or of a cell.
+        candidates = np.concatenate(
+            [_outline(self.corners()), *(_outline(cell.corners()) for cell in cells)]
         )
-        # Clipped, because rounding errors could move a point out of the cell.
-        return np.where(crosses[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
+        candidates = candidates[self.contains(candidates) & _in_cells(cells, candidates)]
+        if not len(candidates):
+            candidates = np.full((1, 2), np.nan)
+        return np.where(inside[..., None], forces, _choose_nearest(candidates, forces))
 
     def area(self) -> float:
         """Return the area of the polygon [N^2]."""
@@ -307,24 +260,11 @@ class Reachable(NamedTuple):
         of ten [-]; 1 for a fin that produces no force."""
         return round_size(self.reach_n / PAPER_REACH_N)
 
-    def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the lower and upper corner (x, y) of the bounding box [N]."""
-        x0, y0 = self.corners().min(axis=0).tolist()
-        x1, y1 = self.corners().max(axis=0).tolist()
-        return (x0, y0), (x1, y1)
-
-    def describe(self) -> str:
-        """Describe the bounding box, with as many decimals as the size of the fin needs."""
-        decimals = force_decimals(self.reach_n)
-        low, high = (
-            tuple(round(force, decimals) + 0.0 for force in corner) for corner in self.bounds()
-        )
-        return str(Cell(low=low, high=high))
-
     def bounding_box(self) -> Cell:
         """Smallest cell that contains the region."""
-        low, high = self.bounds()
-        return Cell(low=low, high=high)
+        low = self.corners().min(axis=0).tolist()
+        high = self.corners().max(axis=0).tolist()
+        return Cell(low=tuple(low), high=tuple(high))
 
 
 @cache
@@ -334,22 +274,23 @@ def directions(count: int) -> Float[np.ndarray, "directions 2"]:
     return np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
 
 
-def _on_sides(
-    corners: Float[np.ndarray, "sides 2"], force: ForcePoints, enter: Any, leave: Any
-) -> ForcePoints:
-    """Return the point nearest to each force on each side of a polygon, ``(..., sides, 2)``.
-
-    Only the part of a side from the fraction `enter` to `leave` is considered.
-    """
+def _outline(corners: Float[np.ndarray, "corners 2"]) -> Forces:
+    """Return `OUTLINE_POINTS` points on the sides of a polygon, including its corners."""
     side = np.roll(corners, -1, axis=0) - corners
-    along = ((force[..., None, :] - corners) * side).sum(axis=-1) / np.maximum(
-        (side**2).sum(axis=-1), 1e-12
-    )
-    return np.asarray(corners + np.clip(along, enter, leave)[..., None] * side)
+    count = OUTLINE_POINTS // len(corners)
+    points = corners[:, None] + np.arange(count)[:, None] / count * side[:, None]
+    return np.asarray(points.reshape(-1, 2), float)
 
 
-def _choose_nearest(points: ForcePoints, force: ForcePoints) -> ForcePoints:
-    """Return the one of the points ``(..., points, 2)`` nearest to each force, ignoring NaN."""
-    distance = np.linalg.norm(points - force[..., None, :], axis=-1)
-    nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)
-    return np.take_along_axis(points, nearest[..., None, None], axis=-2)[..., 0, :]
+def _in_cells(cells: Sequence[Cell], forces: Forces) -> Bool[np.ndarray, "*forces"]:
+    inside = [((forces >= cell.low) & (forces <= cell.high)).all(axis=-1) for cell in cells]
+    return np.asarray(np.logical_or.reduce(inside))
+
+
+def _choose_nearest(points: Float[np.ndarray, "points 2"], forces: Forces) -> Forces:
+    """Return the nearest of the points to each force."""
+    # One force after another, which limits memory.
+    nearest = [
+        points[((points - force) ** 2).sum(axis=1).argmin()] for force in forces.reshape(-1, 2)
+    ]
+    return np.array(nearest).reshape(forces.shape)

@@ -26,7 +26,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
 from softfin.gaits.gait import GaitSearchResult, GaitTable
@@ -114,7 +113,6 @@ def find_gaits(
     The returned table has a finer spacing, halved `config.halvings` times. A node outside the
     reachable region gets the gait of the nearest reachable force.
     """
-    plant = jit_argument(plant)
     total = config.steps + EXACT * config.halvings
     done = 0
     size = survey.reachable.size

@@ -20,7 +20,6 @@ from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit, map_in_threads
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, hold
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray, action_to_command
 from softfin.core.randomness import named_key
 from softfin.core.window import sobolev
@@ -137,7 +136,7 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits actions 2"]) -> PreTanh:
 def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
 ) -> GaitSensitivity:
-    """Simulate gaits and differentiate their forces; `plant` must be a result of `jit_argument`."""
+    """Simulate gaits and differentiate their forces."""
 
     def simulate_batch(batch: PreTanh) -> GaitSensitivity:
         sensitivity: GaitSensitivity = jax.tree.map(
@@ -186,10 +185,8 @@ def missing_gradient(plant: Plant) -> str | None:
         PlantError: the plant itself fails.
     """
     strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
-    # Outside the `try`, because an error here is not due to a missing gradient.
-    argument = jit_argument(plant)
     try:
-        slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0), PAPER_CLOCK).slope[
+        slope = gait_sensitivity(plant, strokes, CYCLES, jax.random.key(0), PAPER_CLOCK).slope[
             :, :2
         ]
     except (TypeError, ValueError, NotImplementedError) as error:
@@ -245,7 +242,6 @@ def survey(
 ) -> Survey:
     """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
     config = config or SurveyConfig()
-    plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
     families = gait_families(clock)
     gaits = np.concatenate([strokes(*family, *places) for family in families])

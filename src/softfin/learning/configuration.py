@@ -149,7 +149,7 @@ def training_cells(config: TrainConfig, reachable: Reachable) -> Cells:
     if not within and config.range == "paper":
         raise ConfigurationError(
             f"range paper: this fin cannot produce any of the paper's references ({box}); its "
-            f"reach is {reachable.describe()}; use range reach"
+            f"reach is {reachable.bounding_box()}; use range reach"
         )
     return within or cells
 

@@ -83,7 +83,7 @@ def save_policies(
         figure = learning_figure(
             {"error without exploration noise": [curve]}, "mean error of both axes [N]"
         )
-        save_figure(figure, folder / TRAINING_LOG, "learning", ("svg",))
+        save_figure(figure, folder / TRAINING_LOG / "learning.png")
 
     write_controller(
         path,

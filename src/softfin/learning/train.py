@@ -16,7 +16,6 @@ from softfin.core.compilation import jit
 from softfin.core.errors import RunError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, AnyArray, Limits
 from softfin.core.randomness import named_key
 from softfin.gaits.reachable import Cells, Reachable
@@ -71,7 +70,6 @@ def train_policies(
         RunError: a loss or a force is not finite, or the disk is full.
     """
     limits = Limits(*map(float, plant.limits))
-    plant = jit_argument(plant)
     cells = training_cells(config, reachable)
     task = config.task.scaled(reachable.size)
     fitted = config.model_copy(update={"task": task})

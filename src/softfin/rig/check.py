@@ -5,32 +5,21 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.config import RigConfig
 from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
-from softfin.rig.prove import check_proof
+from softfin.rig.prove import check_proof, proving_command
 from softfin.rig.rig import Rig
-from softfin.rig.simulated_clock import SimulatedClock
 
 NEEDED_MB = 500
 """Free disk space for a few hours of recording at about 40 kB/s [MB]."""
 
 
-def check_rig(
-    config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None
-) -> Iterator[CheckResult]:
+def check_rig(rig: Rig, folder: Path, seconds: float = 3.0) -> Iterator[CheckResult]:
     """Yield each result as soon as it is available; the loop is tested for `seconds`."""
-    drive = config.drive
-    rig = Rig(config, clock)
-    yield CheckResult(
-        "rig file",
-        "well",
-        f"fin {config.fin!r}, {drive.summary}",
-    )
+    yield CheckResult("rig file", "well", f"fin {rig.config.fin!r}, {rig.config.drive.summary}")
     yield check_disk(folder)
     all_well = True
     for what, results in (
@@ -137,15 +126,16 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
     except RigError as error:
         yield CheckResult("own stop", "note", str(error))
         return
-    if proof is not None:
-        after = (
-            f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
-        )
-        yield CheckResult(
-            "own stop",
-            "well",
-            f"{after}, proved {proof.date}; {rig.drive.own_stop()}",
-        )
+    if proof is None:
+        return
+    after = f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
+    yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; {rig.drive.own_stop()}")
+    moving = proof.moving
+    if moving is None:
+        command = proving_command(rig.config.file, "--prove --moving")
+        yield CheckResult("stop in motion", "note", f"not tried yet; run: {command}")
+        return
+    yield CheckResult("stop in motion", "well", moving.text)
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
@@ -157,7 +147,7 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
         complaints = complaints or rig.read().complaints
     counted = rig.counters()
     late = pace.to_dict()
-    if isinstance(rig.clock, SimulatedClock):
+    if rig.clock.is_simulated:
         yield CheckResult(
             "100 Hz loop",
             "note",

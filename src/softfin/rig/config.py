@@ -1,5 +1,6 @@
 """Configuration of a real fin, read from YAML: bus, drive, sensor and safety limits."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -9,8 +10,8 @@ from softfin.core.configuration import Chosen, Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.rig.bus import BusConfig
-from softfin.rig.device import DriveConfig, ForceSensorConfig
-from softfin.rig.devices.registry import choose_drive, choose_force_sensor
+from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.devices.registry import choose_config
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import RIG_FILE, check_readable
@@ -43,10 +44,16 @@ class RigConfig(RealFinConfig):
 
     bus: BusConfig | None = None
     """The CAN bus; required by drives on one."""
-    drive: Annotated[SerializeAsAny[DriveConfig], BeforeValidator(Chosen(choose_drive))]
+    drive: Annotated[
+        SerializeAsAny[DriveConfig],
+        BeforeValidator(Chosen(partial(choose_config, DriveType, DriveConfig.DEFAULT_TYPE))),
+    ]
     """The drive; `type` selects it and is epos2 by default."""
     sensor: Annotated[
-        SerializeAsAny[ForceSensorConfig], BeforeValidator(Chosen(choose_force_sensor))
+        SerializeAsAny[ForceSensorConfig],
+        BeforeValidator(
+            Chosen(partial(choose_config, ForceSensorType, ForceSensorConfig.DEFAULT_TYPE))
+        ),
     ]
     """The force sensor; `type` selects it and is axia80 by default."""
     safety: SafetyConfig

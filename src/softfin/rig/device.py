@@ -1,15 +1,15 @@
 """Interfaces of a rig's devices: what softfin needs from a drive and from a force sensor.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
-`softfin.devices`. It consists of a configuration, a class that implements `Drive` or `ForceSensor`,
-and an emulator; `DriveType` or `ForceSensorType` names all three. `softfin.testing.check_drive` and
+`softfin.devices`. It consists of a configuration and a class that implements `Drive` or
+`ForceSensor`; `DriveType` or `ForceSensorType` names both. `softfin.testing.check_drive` and
 `check_force_sensor` test an implementation.
 
 All times are from the `clock` that the device is given [s]. All calls come from one thread at a
 time, except that any thread may call `Drive.stop`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
@@ -17,16 +17,20 @@ from pydantic import Field, model_validator
 
 from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
+from softfin.core.errors import SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.rig.bus import BusConfig
-from softfin.rig.emulated_fin import EmulatedFin
+from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
 MAX_BRAKE_S = 0.5
 """Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
+
+MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
+"""How the state of a result is printed."""
 
 
 class CheckResult(NamedTuple):
@@ -35,6 +39,23 @@ class CheckResult(NamedTuple):
     what: str
     state: Literal["well", "note", "wrong"]
     text: str
+
+    def __str__(self) -> str:
+        return f"{MARKS[self.state]:>6}  {self.what:14} {self.text}"
+
+
+def failing(
+    results: Iterable[CheckResult], error: Callable[[str], SoftfinError]
+) -> Iterator[CheckResult]:
+    """Yield each result as soon as it is available, then raise an error with the names of the
+    failed checks."""
+    failed = []
+    for result in results:
+        if result.state == "wrong":
+            failed.append(result.what)
+        yield result
+    if failed:
+        raise error(f"failed: {', '.join(failed)}")
 
 
 class DeviceConfig(Configuration):
@@ -341,25 +362,6 @@ class ForceSensor(Protocol):
         """Disconnect; may be called repeatedly and never raises."""
 
 
-class EmulatedDevice(Protocol):
-    """An emulated device, running from construction until `close`."""
-
-    def address(self) -> JsonObject:
-        """Return the fields of the device's configuration that lead to this emulator."""
-
-    def description(self) -> str:
-        """Describe the address for the operator."""
-
-    def remembered(self) -> JsonObject:
-        """Return the state that a power loss would erase, for JSON."""
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue as if the supply had never been off."""
-
-    def close(self) -> None:
-        """Stop; may be called repeatedly."""
-
-
 Settings = TypeVar("Settings", bound=DeviceConfig)
 
 
@@ -369,14 +371,9 @@ class DriveType(Generic[Settings]):
 
     config: type[Settings]
     """Class of its configuration."""
-    make: Callable[[Settings, BusConfig | None, Clock, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, a clock, and a function to call at
-    once when the drive reports a fault, from any thread."""
-    emulated_config: Callable[[Limits | None, float | None, bool], Settings]
-    """Returns the configuration of an emulated drive with these command limits and this
-    acceleration [rad/s2], in real time or not."""
-    emulate: Callable[[Settings, BusConfig, EmulatedFin, Clock], EmulatedDevice]
-    """Starts an emulator that turns a fin."""
+    make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
+    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
+    at once when the drive reports a fault, from any thread."""
 
 
 @dataclass(frozen=True)
@@ -385,9 +382,5 @@ class ForceSensorType(Generic[Settings]):
 
     config: type[Settings]
     """Class of its configuration."""
-    make: Callable[[Settings, Clock], ForceSensor]
-    """Makes a sensor from its configuration and a clock."""
-    emulated_config: Callable[[], Settings]
-    """Returns the configuration of an emulated sensor, mounted as `SENSOR_MOUNTING`."""
-    emulate: Callable[[Settings, EmulatedFin, Clock], EmulatedDevice]
-    """Starts an emulator that measures a fin's force, mounted as `SENSOR_MOUNTING`."""
+    make: Callable[[Settings, Computer], ForceSensor]
+    """Makes a sensor from its configuration and the computer."""

@@ -18,7 +18,6 @@ from pathlib import Path
 from softfin.core.clock import Clock
 from softfin.core.errors import RigError
 from softfin.core.file_lock import describe_holder, find_holder, lock_file, unlock_file
-from softfin.rig.simulated_clock import SimulatedClock
 
 LOCK_FOLDER = Path("/run/lock")
 """Folder for device locks on Linux (FHS 3.0), often writable by every user."""
@@ -51,7 +50,7 @@ class DeviceLock:
 
         A device on a simulated clock exists only in this process and is not locked.
         """
-        if self._descriptor is not None or isinstance(clock, SimulatedClock):
+        if self._descriptor is not None or clock.is_simulated:
             return
         self.note = None
         path = _folder() / self._file

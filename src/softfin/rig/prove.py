@@ -6,6 +6,8 @@ settings and firmware, so a rig with a file must not move its fin before this pr
 """
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
@@ -23,18 +25,8 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
     Raises PausedError if the test is not valid, and DeviceError if the drive does not stop by
     itself; an earlier proof is then removed.
     """
-    record = load_record(config.file)
-    try:
+    with removed_on_failure(config):
         faulted_after_s = drive.prove_stop()
-    except PausedError:
-        raise
-    except SoftfinError as error:
-        try:
-            save_record(config.file, record.model_copy(update={"stop_proof": None}))
-        except SoftfinError as failure:
-            problem = f"{error}; AND the earlier proof could not be removed: {failure}"
-            raise DeviceError(problem) from error
-        raise
     proof = StopProof(
         date=date_and_time(),
         drive=drive.identity,
@@ -42,8 +34,26 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
         host_node=config.drive.host,
         faulted_after_s=round(faulted_after_s, 4),
     )
+    record = load_record(config.file)
     save_record(config.file, record.model_copy(update={"stop_proof": proof}))
     return proof
+
+
+@contextmanager
+def removed_on_failure(config: RigConfig) -> Iterator[None]:
+    """Remove an earlier proof of the drive's own stop if a test of it fails in this context."""
+    try:
+        yield
+    except PausedError:
+        raise
+    except SoftfinError as error:
+        record = load_record(config.file)
+        try:
+            save_record(config.file, record.model_copy(update={"stop_proof": None}))
+        except SoftfinError as failure:
+            problem = f"{error}; AND the earlier proof could not be removed: {failure}"
+            raise DeviceError(problem) from error
+        raise
 
 
 def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
@@ -73,6 +83,6 @@ def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
     )
 
 
-def proving_command(file: Path) -> str:
+def proving_command(file: Path, options: str = "--prove") -> str:
     """Return the command for testing whether a rig's drive stops by itself."""
-    return f"softfin rig check --rig {shlex.quote(str(file))} --prove --arm"
+    return f"softfin rig check --rig {shlex.quote(str(file))} {options} --arm"

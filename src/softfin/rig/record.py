@@ -16,6 +16,30 @@ from softfin.core.errors import ConfigurationError, RigError
 from softfin.storage import artifact as artifacts
 
 
+class MovingProof(Configuration):
+    """Result of killing and suspending a program that swings the fin."""
+
+    deaths: int = Field(gt=0)
+    """Number of times."""
+    velocity_rad_s: float = Field(gt=0)
+    """Velocity of the swing [rad/s]."""
+    way_median_rad: float
+    way_worst_rad: float
+    """Angle by which the fin turned after each death [rad]."""
+    rest_median_s: float
+    rest_worst_s: float
+    """Time after which the fin was seen at rest [s]; it may have stood earlier, because softfin is
+    silent for a while before it looks."""
+
+    @property
+    def text(self) -> str:
+        """The result in a few words."""
+        return (
+            f"the fin turned {self.way_median_rad:.2f} rad, at most {self.way_worst_rad:.2f} rad, "
+            f"after softfin had died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
+        )
+
+
 class StopProof(Configuration):
     """Proof that the drive stopped by itself when softfin's heartbeats ended while the motor was
     powered."""
@@ -30,6 +54,8 @@ class StopProof(Configuration):
     """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
     faulted_after_s: float = Field(ge=0)
     """Time from the last heartbeat to the drive's fault [s]."""
+    moving: MovingProof | None = None
+    """Result of the same test with the fin in motion; None if it has not been done."""
 
 
 class ForceZero(Configuration):

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import RigError
 from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
-from softfin.rig.device import Drive, ForceSensor
-from softfin.rig.devices.registry import find_drive, find_force_sensor
+from softfin.rig.device import Drive, DriveType, ForceSensor, ForceSensorType
+from softfin.rig.devices.registry import find_device
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
@@ -17,27 +17,17 @@ from softfin.rig.prove import check_proof
 class Rig:
     """A rig that implements the `Machine` protocol."""
 
-    def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
-        """Use `clock`; the default is the clock of the rig's emulation if it has one, otherwise the
-        real clock."""
-        self._save: Callable[[], None] = lambda: None
-        if clock is None and config.emulation is not None:
-            # Imported here because a real rig does not need the tank.
-            from softfin.rig.emulation.rig import kept_rig
-
-            emulated = kept_rig(config)
-            clock = emulated.clock
-            self._save = emulated.save
+    def __init__(self, config: RigConfig, clock: Computer = COMPUTER) -> None:
         self.config = config
-        self.clock = clock or REAL
+        self.clock = clock
         drive = config.drive
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         # Stop immediately on a drive fault, without waiting for the next tick.
-        self.drive: Drive = find_drive(drive.type).make(
+        self.drive: Drive = find_device(DriveType, drive.type).make(
             drive, config.bus, self.clock, lambda _: self.stop()
         )
-        self.sensor: ForceSensor = find_force_sensor(config.sensor.type).make(
+        self.sensor: ForceSensor = find_device(ForceSensorType, config.sensor.type).make(
             config.sensor, self.clock
         )
 
@@ -98,11 +88,9 @@ class Rig:
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop and release both devices; raises RunError if the state of an emulated rig cannot be
-        written."""
+        """Stop and release both devices."""
         self.drive.close()
         self.sensor.close()
-        self._save()
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both devices."""
@@ -113,27 +101,23 @@ class Rig:
         return counted | self.sensor.counters()
 
 
-def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> JsonObject:
-    """Set the force zero to the force at rest; raises DeviceError if the fin is not at rest."""
-    rig = Rig(config, clock)
+def zero_force(rig: Rig, seconds: float = 2.0) -> JsonObject:
+    """Set the force zero to the force at rest; raises DeviceError if the fin is not at rest. The
+    rig is closed afterwards."""
     try:
         rig.sensor.open()
-        return force_zero.zero_force(rig.sensor, config, seconds)
+        return force_zero.zero_force(rig.sensor, rig.config, seconds)
     finally:
         rig.close()
 
 
-def zero_angle(
-    config: RigConfig,
-    clock: Clock | None = None,
-    confirm: Callable[[Rig], object] = lambda rig: None,
-) -> JsonObject:
+def zero_angle(rig: Rig, confirm: Callable[[Rig], object] = lambda rig: None) -> JsonObject:
     """Set the fin's current angle to `drive.zero_offset_rad` (default 0); nothing moves.
 
     `confirm` is called after the drive is opened and before its motor may be powered. The result
-    contains `own_stop` if there is no valid proof of the drive's own stop with the new zero.
+    contains `own_stop` if there is no valid proof of the drive's own stop with the new zero. The
+    rig is closed afterwards.
     """
-    rig = Rig(config, clock)
     drive = rig.drive
     try:
         drive.open()
@@ -145,7 +129,7 @@ def zero_angle(
             "angle_after_rad": round(drive.read_angle(), 5),
         }
         try:
-            check_proof(config, drive)
+            check_proof(rig.config, drive)
         except RigError as error:
             result["own_stop"] = str(error)
         return result

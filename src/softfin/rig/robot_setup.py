@@ -1,14 +1,12 @@
-"""Look up a real plant by name, ``rig`` or ``ros2``: its machine, safety limits and rest time."""
+"""A machine with its safety limits, rest time and configuration."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from softfin.core.errors import RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Machine
 from softfin.rig.safety import SafetyConfig
-from softfin.storage.registry import LIVE
 
 
 @dataclass(frozen=True)
@@ -23,8 +21,6 @@ class RobotSetup:
     """Rest time before each log or experiment [s]."""
     configuration: JsonObject = field(default_factory=dict)
     """Complete configuration, for JSON."""
-    warning: str | None = None
-    """Warning if the machine has not been commissioned."""
 
     def check_ready(self) -> None:
         """Raise RigError if the open machine must not move yet, according to its own `check_ready`
@@ -51,41 +47,3 @@ class RobotSetup:
                     f"{self.machine.name} accepts {lowest:.5g} .. {highest:.5g}; train it within "
                     "these limits, or widen the rig's"
                 )
-
-
-def find_robot(name: str) -> RobotSetup:
-    """Return the machine with a name (``rig`` or ``ros2``, optionally followed by ``:FILE``)
-    without opening it; raises RigError."""
-    # Imported here because each kind needs only its own libraries.
-    kind, _, file = name.partition(":")
-    path = Path(file) if file else None
-    if kind == "rig":
-        from softfin.rig.commissioning.form import load_form
-        from softfin.rig.config import load_rig
-        from softfin.rig.rig import Rig
-
-        rig = load_rig(path)
-        # The configuration of a real rig must stay the same as before emulated rigs were added.
-        values = rig.model_dump(
-            mode="json", exclude={"emulation"} if rig.emulation is None else None
-        )
-        # Emulated rigs do not need commissioning.
-        warning = (
-            None
-            if rig.emulation is not None or rig.file is None
-            else load_form(rig.file).warning(rig)
-        )
-        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values, warning)
-    if kind == "ros2":
-        from softfin.rig.config import load_ros2
-        from softfin.rig.ros2.plant import Ros2Machine
-
-        ros2 = load_ros2(path)
-        machine = Ros2Machine(ros2.topics)
-        return RobotSetup(
-            machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json")
-        )
-    raise RigError(
-        f"plant {name}: not a real fin; use {' or '.join(LIVE)}, optionally with :FILE; "
-        "for a simulated plant, use softfin evaluate"
-    )

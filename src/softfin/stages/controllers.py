@@ -1,36 +1,58 @@
-"""Stages that produce a controller: find gaits for the forces that a fin can produce, or train
-policies (paper Sec. III-C)."""
+"""Stages that produce a controller: find gaits for the forces that a fin can produce, train
+policies (paper Sec. III-C), or export one to ONNX."""
 
+import math
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from softfin.control.store import save_gaits
-from softfin.core.action_clock import ActionClock
+from cyclopts import Parameter
+
+from softfin.core.choices import PolicyLayout, TrainingRangeName
+from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant
-from softfin.core.plant_identity import identity
+from softfin.core.option_types import (
+    CONTROLLER,
+    DIR,
+    FILE,
+    HIDDEN,
+    PLANT,
+    Config,
+    PathLike,
+    PlantLike,
+)
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import Limits
-from softfin.gaits.force_map import MapConfig, check_star, find_force_map
-from softfin.gaits.reachable import PAPER_REFERENCES
-from softfin.gaits.simulate import SurveyConfig, survey
-from softfin.gaits.usable import check_usable
-from softfin.learning.configuration import TrainConfig
-from softfin.learning.controllers import save_policies
-from softfin.learning.train import train_policies
+from softfin.core.result import Result
+from softfin.core.seeds import check_seed
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
-from softfin.storage.registry import find_plant, plant_name
-from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.channels import learnt_from
+from softfin.storage.registry import check_plant, plant_name
+
+if TYPE_CHECKING:
+    from softfin.core.action_clock import ActionClock
+
+AUTO = "auto"
+"""Clock for the fin's stroke time."""
+
+CLOCK = Parameter(metavar="HZ[,S]")
+
+MAX_ERROR_SHARE = 0.5
+"""Largest error of a useful controller, divided by its target forces."""
 
 
-def propose_clock(plant: str) -> ActionClock:
-    """Return the clock for the stroke time of the fin that a surrogate was fitted to; raises
-    ConfigurationError if it is unknown."""
+def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
+    """Return the clock of ``--clock`` for a plant: that of its stroke time for ``auto``; raises
+    ConfigurationError if there is no such clock, or if the stroke time is unknown."""
+    from softfin.core.action_clock import ActionClock
+
+    if text is None:
+        return None
+    if text != AUTO:
+        return ActionClock.parse(text)
     stroke_s = None
-    if artifacts.is_kind(Path(plant), "surrogate"):
+    if isinstance(plant, str) and artifacts.is_kind(Path(plant), "surrogate"):
         stroke_s = artifacts.load_description(Path(plant), "surrogate").get("stroke_s")
     if stroke_s is None:
         raise ConfigurationError(
@@ -42,86 +64,244 @@ def propose_clock(plant: str) -> ActionClock:
 
 @lock_output
 def map_forces(
-    plant: str | Plant,
-    out: Path,
-    config: MapConfig | None = None,
+    plant: Annotated[PlantLike, PLANT],
     *,
+    out: Annotated[PathLike, DIR],
+    clock: Annotated[str | None, CLOCK] = None,
+    config: Config = None,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Find the mean forces that a fin can produce, and gaits that produce them; writes a controller
-    of gaits to the folder `out`."""
-    config = config or MapConfig()
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Find the mean forces that a fin can produce, and gaits that produce them: a controller.
+
+    Args:
+        plant: Surrogate folder, or another plant: tank or package.module:plant.
+        out: Controller folder to write: the gaits, the forces that they produce, and a figure.
+        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
+            (default: paper, which is 3,2).
+        config: `MapConfig`; its fields are options too, such as --nodes 200.
+        overwrite: Replace existing output.
+        progress: Function that is called with the progress.
+
+    Returns:
+        Range, area and number of the forces, and the paper's references that are out of reach.
+
+    Example:
+        >>> softfin.map_forces("surrogate", out="gaits")
+    """
+    out = Path(out)
+    chosen_clock = find_clock(clock, plant)
     artifacts.check_vacant(out, overwrite)
-    name = plant_name(plant)
-    learnt = learnt_from(plant)
-    plant = find_plant(plant)
-    force_map = find_force_map(plant, config, partial(progress, "map"))
+    check_plant(plant)
+    from softfin.control.store import save_gaits
+    from softfin.core.plant_identity import identity
+    from softfin.core.quantities import Limits
+    from softfin.gaits.force_map import MapConfig, find_force_map, force_tolerance, star_warning
+    from softfin.gaits.reachable import PAPER_REFERENCES
+    from softfin.storage.registry import find_plant
+    from softfin.surrogate.channels import learnt_from
+
+    settings = configure(MapConfig(), config, clock=chosen_clock and chosen_clock.model_dump())
+    simulated = find_plant(plant)
+    force_map = find_force_map(simulated, settings, partial(progress, "map"))
     reachable = force_map.reachable
-    tolerance_n = config.tolerance(reachable)
-    (star, warning) = check_star(force_map, tolerance_n)
+    tolerance_n = force_tolerance(reachable)
     keys = {
-        **learnt,
-        "star_shape": star,
-        "configuration": config.model_dump(mode="json"),
-        "provenance": artifacts.provenance(plant=name, plant_identity=identity(plant)),
+        **learnt_from(plant),
+        "configuration": settings.model_dump(mode="json"),
+        "provenance": artifacts.provenance(
+            plant=plant_name(plant), plant_identity=identity(simulated)
+        ),
     }
-    limits = Limits(*map(float, plant.limits))
+    limits = Limits(*map(float, simulated.limits))
     save_gaits(out, force_map, tolerance_n, limits, keys, overwrite)
     errors = force_map.gaits.force_error()
-    return {
+    box = reachable.bounding_box()
+    values = {
         "controller": str(out),
-        "box_n": reachable.bounds(),
+        "clock": str(settings.clock),
+        "box_n": (box.low, box.high),
         "area_n2": reachable.area(),
         "nodes": errors.size,
         "held": int((errors <= tolerance_n).sum()),
         "tolerance_n": tolerance_n,
         "reach_n": reachable.reach_n,
         "beyond": [list(force) for force in PAPER_REFERENCES if not reachable.contains(force)],
-        "star_shape": star,
-        "warning": warning,
+        "warning": star_warning(force_map, tolerance_n),
     }
+    return Result(values, _describe_map(values))
+
+
+def _describe_map(values: JsonObject) -> str:
+    from softfin.gaits.reachable import force_decimals
+
+    decimals = force_decimals(values["reach_n"])
+    # Adding 0 turns -0.0 into 0.
+    (x0, y0), (x1, y1) = (
+        tuple(round(x, decimals) + 0.0 for x in corner) for corner in values["box_n"]
+    )
+    beyond = ", ".join(f"({x:g}, {y:g})" for x, y in values["beyond"]) or "none"
+    warning = "" if values["warning"] is None else f"\nwarning: {values['warning']}"
+    return (
+        f"{values['controller']}: mean forces of x {x0:g} .. {x1:g} N and y {y0:g} .. {y1:g} N, "
+        f"area {values['area_n2']:.3g} N2; {values['held']} of the {values['nodes']} forces on the "
+        f"grid have a gait that produces them to within {values['tolerance_n']:g} N\n"
+        f"clock: {values['clock']}\n"
+        f"references of the paper that this fin cannot reach: {beyond}{warning}"
+    )
 
 
 @lock_output
 def train(
-    plant: str | Plant,
-    out: Path,
-    config: TrainConfig | None = None,
+    surrogate: Annotated[PlantLike, Parameter(metavar="SURROGATE")],
     *,
+    out: Annotated[PathLike, DIR],
+    controller: PolicyLayout | None = None,
+    range: TrainingRangeName | None = None,
+    clock: Annotated[str | None, CLOCK] = None,
+    steps: int | None = None,
     seed: int = 0,
+    config: Config = None,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Train policies in a plant, usually a surrogate, by LSTM-PPO (paper Sec. III-C); writes a
-    controller to the folder `out`.
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Train force controllers inside a surrogate by LSTM-PPO (paper Sec. III-C).
 
-    A survey of gaits first determines the forces that the fin can produce. Returns the folder and
-    the errors of the policies at the evaluation references.
+    A survey of gaits first determines the forces that the fin can produce.
+
+    Args:
+        surrogate: Surrogate folder, or another plant: tank or package.module:plant.
+        out: Controller folder to write.
+        controller: single: one policy for all references (default); grid: one policy per cell of a
+            grid.
+        range: Target forces: reach for all forces that the fin can produce (default), or paper for
+            the paper's references.
+        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
+            (default: paper, which is 3,2).
+        steps: Number of training actions per policy (default: 200000, or 33000 per cell of a grid).
+        seed: Seed for weights, exploration and references.
+        config: `TrainConfig`; its fields are options too, such as --ppo.num-envs 64.
+        resume: Continue from the last checkpoint of an unfinished run.
+        overwrite: Replace existing output, and discard an unfinished run.
+        progress: Function that is called with the progress.
+
+    Returns:
+        Folder, and errors of the policies at the evaluation references.
+
+    Example:
+        >>> softfin.train("surrogate", out="single", steps=100_000)
     """
-    config = config or TrainConfig()
+    out = Path(out)
+    check_seed(seed)
+    chosen_clock = find_clock(clock, surrogate)
     artifacts.check_vacant(out, overwrite or resume)
-    name = plant_name(plant)
-    learnt = learnt_from(plant)
-    plant = find_plant(plant)
+    check_plant(surrogate)
+    from softfin.core.plant_identity import identity
+    from softfin.gaits.simulate import SurveyConfig, survey
+    from softfin.gaits.usable import check_usable
+    from softfin.learning.configuration import TRAIN_PRESETS, for_clock
+    from softfin.learning.controllers import save_policies
+    from softfin.learning.train import train_policies
+    from softfin.storage.registry import find_plant
+    from softfin.storage.run_directory import RunDirectory
+    from softfin.surrogate.channels import learnt_from
+
+    preset = TRAIN_PRESETS[controller or "single"]
+    if chosen_clock is not None:
+        preset = for_clock(preset, chosen_clock)
+    settings = configure(preset, config, controller=controller, range=range, steps=steps)
+    if chosen_clock is not None and settings.task.clock != chosen_clock:
+        # The option wins over the file.
+        settings = for_clock(settings, chosen_clock)
+    plant = find_plant(surrogate)
     metadata = {
-        "configuration": config.model_dump(mode="json"),
+        "configuration": settings.model_dump(mode="json"),
         "seed": seed,
-        "plant": identity(plant, computed=True),
+        "plant": identity(plant),
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
         # The corners are not pushed outwards, because that takes most of a survey's time and needs
         # gradients, which a user's simulator may lack. The area is about 5% smaller.
-        settings = SurveyConfig(pushes=0)
-        surveyed = survey(plant, settings, partial(progress, "survey"), config.task.clock)
-        reachable = surveyed.reachable
-        check_usable(plant, reachable)
+        without_pushes = SurveyConfig(pushes=0)
+        surveyed = survey(plant, without_pushes, partial(progress, "survey"), settings.task.clock)
+        check_usable(plant, surveyed.reachable)
         report = partial(progress, "train")
-        trained = train_policies(plant, config, reachable, seed, run_directory, report)
-        origin = artifacts.provenance(plant=name, plant_identity=identity(plant), seed=seed)
-        save_policies(out, trained, origin, learnt, overwrite, run_directory.keep_log)
+        trained = train_policies(plant, settings, surveyed.reachable, seed, run_directory, report)
+        origin = artifacts.provenance(
+            plant=plant_name(surrogate), plant_identity=identity(plant), seed=seed
+        )
+        save_policies(
+            out, trained, origin, learnt_from(surrogate), overwrite, run_directory.keep_log
+        )
     run_directory.finish()
     scores = artifacts.load_description(out, "controller")["scores"]
-    return {"controller": str(out), "scores": scores}
+    head = f"{out}: evaluated in {plant_name(surrogate)}, without exploration noise"
+    return Result(
+        {"controller": str(out), "clock": str(settings.task.clock), "scores": scores},
+        "\n".join([head, *_score_table(scores), *missed_targets(scores)]),
+    )
+
+
+def _score_table(scores: Sequence[JsonObject]) -> list[str]:
+    from softfin.gaits.reachable import force_decimals
+    from softfin.stages.tables import aligned, format_reference_errors
+
+    decimals = force_decimals(max(abs(force) for row in scores for force in row["reference_n"]))
+    rows = [["reference [N]", "error x, y [N]", ""]]
+    for row in scores:
+        x, y = row["reference_n"]
+        rows.append(
+            [
+                f"({x:5.{decimals}f}, {y:5.{decimals}f})",
+                ", ".join(f"{error:.{decimals + 1}f}" for error in row["error_n"]),
+                format_reference_errors(row, decimals).strip(),
+            ]
+        )
+    return aligned(rows, (0, 1, 2))
+
+
+def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
+    """Return a warning if the errors are larger than half the target forces."""
+    error = sum(math.hypot(*row["error_n"]) for row in scores)
+    target = sum(math.hypot(*row["tracked_reference_n"]) for row in scores)
+    if error <= MAX_ERROR_SHARE * target or target == 0:
+        return []
+    return [
+        f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
+        "does not reach them; check training/learning.png in its folder, and train it longer"
+    ]
+
+
+def export(
+    controller: Annotated[PathLike, CONTROLLER],
+    *,
+    onnx: Annotated[PathLike, FILE],
+    overwrite: bool = False,
+) -> Result:
+    """Export one step of a controller to ONNX, with its state as inputs and outputs. Requires
+    softfin[onnx].
+
+    Args:
+        controller: Controller folder.
+        onnx: File to write; its metadata describe the inputs.
+        overwrite: Replace an existing file.
+
+    Returns:
+        Size, inputs and outputs of the file, and the largest difference from softfin's outputs.
+
+    Example:
+        >>> softfin.export("single", onnx="single.onnx")
+    """
+    from softfin.control.onnx import EPISODE, export_onnx
+    from softfin.control.store import load_controller
+
+    file = Path(onnx)
+    exported = export_onnx(load_controller(Path(controller)), file, overwrite)
+    return Result(
+        {"onnx": str(file), **exported._asdict()},
+        f"{file}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; over {EPISODE} actions, "
+        f"onnxruntime's commands differ from softfin's by at most {exported.worst:.1g} (rad, "
+        f"rad/s)\nin:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
+    )

@@ -1,75 +1,187 @@
 """Stages that evaluate a moving fin with a controller (paper Sec. IV-B)."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from softfin.control.store import load_controller
-from softfin.core.errors import ConfigurationError, PlantError
-from softfin.core.quantities import Limits
-from softfin.evaluation.evaluate import (
-    EvaluateConfig,
-    score_controller,
-    write_evaluation,
+from softfin.core.configuration import configure
+from softfin.core.errors import ConfigurationError
+from softfin.core.option_types import (
+    CONTROLLER,
+    DIR,
+    FILE,
+    FORCE,
+    HIDDEN,
+    PLANT,
+    Config,
+    Force,
+    PathLike,
+    PlantLike,
 )
-from softfin.evaluation.experiment import EvaluationTarget
-from softfin.evaluation.results import EvaluationSummary
+from softfin.core.progress import Progress, silent
+from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
-from softfin.storage.registry import find_plant
-from softfin.tank import DomainRandomization, RandomizedTank, Tank
+from softfin.storage.registry import check_plant, is_live
+
+if TYPE_CHECKING:
+    from softfin.evaluation.evaluate import EvaluateConfig
+    from softfin.evaluation.results import EvaluationSummary
 
 
 def evaluate(
-    controller: Path,
-    plant: str | EvaluationTarget,
-    out: Path | None = None,
-    config: EvaluateConfig | None = None,
+    controller: Annotated[PathLike, CONTROLLER],
     *,
-    randomize: float | int | DomainRandomization | None = None,
+    plant: Annotated[PlantLike, PLANT] = "tank",
+    out: Annotated[PathLike | None, DIR] = None,
+    reference: Annotated[tuple[Force, ...], FORCE] = (),
+    reference_file: Annotated[PathLike | None, FILE] = None,
+    moving: bool = False,
+    seconds: int | None = None,
+    repeats: int | None = None,
+    seed: int | None = None,
+    strict: bool = False,
+    trim: bool = False,
+    randomize: float | None = None,
+    error_map: int | None = None,
+    random: int | None = None,
+    config: Config = None,
+    arm: bool = False,
+    yes: bool = False,
     overwrite: bool = False,
-) -> EvaluationSummary:
-    """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and
-    figures to `out`.
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II).
 
-    `randomize` requires a tank as plant: every repetition runs in a different, randomly perturbed
-    tank. With 0, all repetitions run in the tank itself.
+    Args:
+        controller: Controller folder.
+        plant: The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or
+            package.module:plant. Real: rig or ros2, optionally followed by :FILE.
+        out: Output folder for evaluation.json and the figures (default: only print the scores).
+        reference: Reference force [N], such as --reference=1,-0.5; may be repeated (default: the
+            paper's six).
+        reference_file: Also evaluate a recorded reference: .csv or .parquet with the columns
+            time_s, force_x_n, force_y_n. Each row holds until the next one.
+        moving: Also evaluate four steps of the reference within the controller's range.
+        seconds: Length of each experiment [s] (default: 30).
+        repeats: Repetitions of each experiment (default: 5).
+        seed: Seed for the plant's noise (default: 0).
+        strict: Reject unreachable references instead of tracking the nearest reachable one.
+        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        randomize: Perturb the tank's parameters in each repetition, by up to this fraction; 0 for
+            the tank itself (tank only).
+        error_map: Plot the error over the controller's range, at this many references along each
+            side.
+        random: Also evaluate this many random references within the reachable part of the training
+            range.
+        config: `EvaluateConfig`; its fields are options too.
+        arm: Allow the real fin to move, after you confirm on the terminal.
+        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
+            the fin.
+        overwrite: Replace existing output.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of evaluation.json.
+
+    Example:
+        >>> softfin.evaluate("gaits", plant="tank", out="evaluation", trim=True)
     """
-    if out is not None:
-        artifacts.check_vacant(out, overwrite)
-    moving = find_plant(plant) if isinstance(plant, str) else plant
-    widths = (
-        DomainRandomization.of(float(randomize))
-        if isinstance(randomize, int | float)
-        else randomize
+    controller = Path(controller)
+    out = None if out is None else Path(out)
+    is_real = isinstance(plant, str) and is_live(plant)
+    _check_evaluation(controller, plant, out, is_real, arm, randomize, overwrite)
+    from softfin.evaluation.evaluate import EvaluateConfig
+    from softfin.stages.tables import evaluation_tables
+    from softfin.task.signals import read_reference_file
+
+    recorded = None
+    if reference_file is not None:
+        recorded = read_reference_file(Path(reference_file)).model_dump()
+    settings = configure(
+        EvaluateConfig(),
+        config,
+        references=reference or None,
+        recorded=recorded,
+        moving=moving or None,
+        seconds=seconds,
+        seeds=repeats,
+        seed=seed,
+        strict=strict or None,
+        error_map=error_map,
+        random=random,
     )
+    if trim and settings.trim is None:
+        settings = settings.merged({"trim": {}}, "--trim")
+    if is_real:
+        from softfin.rig.arming import Arming, KeyboardStop, say
+        from softfin.stages.live import evaluate_live
+        from softfin.stages.machines import find_robot
+
+        keys = KeyboardStop(Arming(arm, yes))
+        summary = evaluate_live(
+            controller,
+            find_robot(str(plant)),
+            out,
+            settings,
+            keys.confirm,
+            stop=keys.stop,
+            warn=say,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    else:
+        summary = _evaluate_simulated(controller, plant, out, settings, randomize, overwrite)
+    return Result(summary, evaluation_tables(summary))
+
+
+def _evaluate_simulated(
+    controller: Path,
+    plant: PlantLike,
+    out: Path | None,
+    config: "EvaluateConfig",
+    randomize: float | None,
+    overwrite: bool,
+) -> "EvaluationSummary":
+    from softfin.evaluation.evaluate import evaluate_controller
+    from softfin.storage.registry import find_plant
+    from softfin.tank import DomainRandomization, RandomizedTank, Tank
+
+    target = find_plant(plant)
+    widths = None if randomize is None else DomainRandomization.of(randomize)
     if widths is not None:
-        if not isinstance(moving, Tank):
+        if not isinstance(target, Tank):
             raise ConfigurationError(
                 f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
         # At 0, use the tank itself: RandomizedTank would also change the sensor's noise.
-        moving = moving if widths.is_none else RandomizedTank(moving, widths)
-    loaded = load_controller(controller)
-    check_limits(loaded.limits, moving.limits, controller, str(plant))
-    evaluation = score_controller(loaded, moving, config or EvaluateConfig())
-    if out is None:
-        return evaluation.summary()
+        target = target if widths.is_none else RandomizedTank(target, widths)
     metadata = {
-        "controller": str(controller),
-        "kind": loaded.kind,
         "plant": str(plant),
         "randomization": None if widths is None else widths.model_dump(mode="json"),
     }
-    return write_evaluation(evaluation, out, metadata, overwrite)
+    return evaluate_controller(controller, target, config, out, metadata, overwrite)
 
 
-def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
-    """Raise PlantError if a controller's commands exceed the plant's limits."""
-    for i, quantity in ((0, "angle"), (2, "velocity")):
-        ours = asked[i : i + 2]
-        theirs = taken[i : i + 2]
-        tolerance = 1e-3 * (theirs[1] - theirs[0])
-        if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
-            raise PlantError(
-                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
-                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
-                "surrogate of this plant"
-            )
+def _check_evaluation(
+    controller: Path,
+    plant: PlantLike,
+    out: Path | None,
+    is_real: bool,
+    arm: bool,
+    randomize: float | None,
+    overwrite: bool,
+) -> None:
+    """Raise a SoftfinError for unusable arguments, before anything is computed or imported."""
+    if arm and not is_real:
+        raise ConfigurationError(f"--arm: {plant} is simulated; omit --arm, or use --plant rig")
+    if is_real and randomize is not None:
+        raise ConfigurationError(
+            f"--randomize {randomize:g}: requires the virtual tank as plant, got {plant!r}; omit "
+            "--randomize"
+        )
+    if is_real and out is None:
+        raise ConfigurationError(f"{plant}: moves in real time; set --out, to keep the recording")
+    artifacts.find_description(controller, "controller")
+    if out is not None:
+        artifacts.check_vacant(out, overwrite)
+    if not is_real:
+        check_plant(plant)

@@ -7,8 +7,10 @@ lists these commands, the SHA-256 of each file and the controllers' errors in th
 
 import shutil
 from pathlib import Path
+from typing import Annotated
 
-from softfin.core.json_object import JsonObject
+from softfin.core.option_types import DIR, PathLike
+from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
 
 EXAMPLE = Path(__file__).parents[1] / "example"
@@ -17,16 +19,44 @@ EXAMPLE = Path(__file__).parents[1] / "example"
 EXAMPLE_KIND = "example"
 
 
-def write_example(out: Path, *, overwrite: bool = False) -> JsonObject:
-    """Copy the example to a folder, completely or not at all; returns its description,
-    ``example.json``."""
+def write_example(
+    folder: Annotated[PathLike, DIR],
+    *,
+    overwrite: bool = False,
+) -> Result:
+    """Write an example for the virtual tank: a trained surrogate, controllers and a recording.
 
-    def copy(folder: Path) -> None:
+    Args:
+        folder: Output folder; its README.md lists the commands that produced each part.
+        overwrite: Replace existing output.
+
+    Returns:
+        The contents of example.json: commands, files, and errors of the controllers.
+
+    Example:
+        >>> softfin.write_example("example")
+    """
+    out = Path(folder)
+    artifacts.check_vacant(out, overwrite, "folder")
+
+    def copy(place: Path) -> None:
         # Only the contents are copied, because the package's files may be read-only.
         for file in sorted(file for file in EXAMPLE.rglob("*") if file.is_file()):
-            place = folder / file.relative_to(EXAMPLE)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, place)
+            target = place / file.relative_to(EXAMPLE)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
 
     artifacts.write_folder(out, copy, overwrite)
-    return artifacts.load_description(out, EXAMPLE_KIND)
+    description = artifacts.load_description(out, EXAMPLE_KIND)
+    errors = []
+    for name, row in description["errors"].items():
+        x, y = row["error_n"]
+        errors.append(f"{name}: {x:.3f}, {y:.3f} N")
+    return Result(
+        {"example": str(out), **description},
+        f"{out}: a surrogate of the virtual tank, controllers trained in it, and a one-minute "
+        "recording\n"
+        f"error of the mean force in the tank, x, y: {'; '.join(errors)}\n"
+        f"next: softfin evaluate {out}/gaits --plant tank --out evaluation; see {out}/README.md "
+        "for more",
+    )

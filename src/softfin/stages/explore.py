@@ -3,77 +3,107 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from softfin.control.controller import LoadedController
-from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import ConfigurationError
-from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant
-from softfin.explorer.contents import controller_data, hand_data, outline, plant_data
-from softfin.explorer.page import write_explorer_page
-from softfin.stages.evaluation import check_limits
+from softfin.core.option_types import CONTROLLER, FILE, PLANT, PathLike
+from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
-from softfin.storage.registry import find_plant
-from softfin.surrogate.protocol import ExplorableSurrogate
-from softfin.tank import Tank
+from softfin.storage.registry import check_plant
+
+if TYPE_CHECKING:
+    from softfin.control.controller import LoadedController
 
 TITLE = "Drag the force, watch the fin"
 TITLE_BY_HAND = "Move the fin, watch its force"
 
 
 def explore(
-    controllers: Sequence[Path],
-    out: Path,
-    plants: Sequence[str] = ("tank",),
-    *,
+    *controllers: Annotated[PathLike, CONTROLLER],
+    out: Annotated[PathLike, FILE],
+    plant: Annotated[tuple[str, ...], PLANT] = ("tank",),
     overwrite: bool = False,
-) -> JsonObject:
-    """Write a page that shows the motion and force of fins; returns its size and parts.
+) -> Result:
+    """Write an HTML page that shows a fin and its force in a browser: drag the target force and
+    watch a controller follow it, or move the fin by hand. The page works offline.
 
-    Users drag the target force and a controller follows it, or they move the fin by hand.
+    Args:
+        controllers: Controller folders (default: none, to move the fin by hand only). For a
+            surrogate, use --plant.
+        out: File to write (.html).
+        plant: The fin: tank, a tank's YAML file, or the folder of a streaming surrogate. With
+            several, the page can switch between them.
+        overwrite: Replace an existing file.
 
-    Raises PlantError for a plant that the page cannot simulate, or that cannot follow a
-    controller's commands.
+    Returns:
+        Size and parts of the page.
+
+    Raises:
+        PlantError: The page cannot simulate a plant, or it cannot follow a controller's commands.
+
+    Example:
+        >>> softfin.explore("gaits", "single", out="explore.html", plant=("tank", "surrogate"))
     """
+    paths = list(map(Path, controllers))
+    out = Path(out)
+    if out.suffix != ".html":
+        raise ConfigurationError(f"--out {out}: must end in .html")
     artifacts.check_file(out, overwrite)
-    moving = {name: find_plant(name) for name in plants}
-    holding = {str(path): load_controller(path) for path in controllers}
-    if not plants:
-        raise ConfigurationError("plants: none given; name at least one")
-    _check_distinct(plants)
-    _check_distinct(controllers)
-    data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
-    for path, controller in holding.items():
-        for name, plant in moving.items():
-            check_limits(controller.limits, plant.limits, Path(path), name)
+    if not plant:
+        raise ConfigurationError("plant: none given; name at least one")
+    _check_distinct(plant)
+    _check_distinct(paths)
+    for path in paths:
+        artifacts.find_description(path, "controller")
+    for name in plant:
+        check_plant(name)
+    from softfin.control.store import load_controller
+    from softfin.evaluation.evaluate import check_limits
+    from softfin.explorer.contents import controller_data, hand_data, outline, plant_data
+    from softfin.explorer.page import write_explorer_page
+    from softfin.storage.registry import find_plant
+    from softfin.tank import Tank
+
+    moving = {name: find_plant(name) for name in plant}
+    holding = {str(path): load_controller(path) for path in paths}
+    data_of_plants = {name: plant_data(name, fin) for name, fin in moving.items()}
+    for path in paths:
+        for name, fin in moving.items():
+            check_limits(holding[str(path)].limits, fin.limits, path, name)
     clock = _common_clock(holding)
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
     page_controllers = []
-    for path, controller in holding.items():
-        page_controllers.append({"name": kinds[path], **controller_data(controller)})
+    for given, controller in holding.items():
+        page_controllers.append({"name": kinds[given], **controller_data(controller)})
     size = page_controllers[0]["size"] if page_controllers else None
-    limits = [plant.limits for plant in moving.values()]
+    limits = [fin.limits for fin in moving.values()]
     page_controllers.append(hand_data(limits, clock, size))
     # A surrogate does not contain its fin's size; draw it like the fin of the first tank.
-    tanks = [plant for plant in moving.values() if isinstance(plant, Tank)]
+    tanks = [fin for fin in moving.values() if isinstance(fin, Tank)]
     default_tank = tanks[0] if tanks else Tank()
     page_plants = []
-    for name, plant in moving.items():
-        shape = outline(plant if isinstance(plant, Tank) else default_tank)
+    for name, fin in moving.items():
+        shape = outline(fin if isinstance(fin, Tank) else default_tank)
         page_plants.append({"name": names[name], "outline": shape, **data_of_plants[name]})
     title = TITLE if holding else TITLE_BY_HAND
     write_explorer_page(out, title, page_controllers, page_plants)
-    return {
-        "page": str(out),
-        "controllers": list(kinds.values()),
-        "plants": list(names.values()),
-        "bytes": out.stat().st_size,
-    }
+    size_bytes = out.stat().st_size
+    held = ", ".join(kinds.values()) or "no controller"
+    return Result(
+        {
+            "page": str(out),
+            "controllers": list(kinds.values()),
+            "plants": list(names.values()),
+            "bytes": size_bytes,
+        },
+        f"{out}: {held} in {', '.join(names.values())}, {size_bytes / 1e6:.1f} MB; open it in a "
+        "browser",
+    )
 
 
-def _common_clock(controllers: Mapping[str, LoadedController]) -> ActionClock:
+def _common_clock(controllers: "Mapping[str, LoadedController]") -> ActionClock:
     """Return the clock of the controllers, or the paper's clock without controllers; raises
     ConfigurationError if controllers have different clocks."""
     clocks = {path: controller.clock for path, controller in controllers.items()}
@@ -85,11 +115,6 @@ def _common_clock(controllers: Mapping[str, LoadedController]) -> ActionClock:
                 "write a page for each clock"
             )
     return clock
-
-
-def is_shown(plant: Plant) -> bool:
-    """Whether the page can simulate this plant."""
-    return isinstance(plant, Tank | ExplorableSurrogate)
 
 
 def _check_distinct(given: Sequence[object]) -> None:

@@ -26,7 +26,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Readi
 from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held_command, interpolated
-from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.evaluate import EvaluateConfig, evaluate_controller
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
@@ -39,11 +39,9 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import MeasuredForce, Session, Warn
 from softfin.rig.stop import StopRequest
-from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
-from softfin.storage.output_lock import lock_output
 from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
@@ -71,7 +69,6 @@ a fin with the peak force of the paper's fin. The rest force is subtracted from 
 sensor that drifts between logs also drifts within them."""
 
 
-@lock_output
 def collect_live(
     robot: RobotSetup,
     out: Path,
@@ -187,13 +184,9 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            return evaluate(
-                controller,
-                LiveFin(session, acting, robot, progress),
-                out,
-                config,
-                overwrite=overwrite,
-            )
+            target = LiveFin(session, acting, robot, progress)
+            metadata = {"plant": str(target), "randomization": None}
+            return evaluate_controller(controller, target, config, out, metadata, overwrite)
 
 
 class LiveFin:

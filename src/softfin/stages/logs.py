@@ -1,58 +1,204 @@
-"""Check recordings and import them as a dataset. No JAX."""
+"""Check recordings, import them as a dataset, or recover them. No JAX."""
 
+import textwrap
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 from softfin.core.json_object import JsonObject
+from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, PathLike
 from softfin.core.progress import Progress, silent
-from softfin.data.checks.inspection import Inspection
-from softfin.data.checks.report import write_inspection
+from softfin.core.result import Result
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.recordings import open_logs
+from softfin.data.issues import counted
 from softfin.storage import artifact as artifacts
-from softfin.storage.dataset import Dataset, write_dataset
+from softfin.storage.paths import find_recordings
 
 
 def inspect_logs(
-    path: Path,
-    out: Path | None = None,
-    config: ImportConfig | None = None,
+    logs: Annotated[PathLike, LOGS],
     *,
+    out: Annotated[PathLike | None, DIR] = None,
+    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Check recordings for issues; writes ``inspection.json`` and a figure to `out`."""
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Check logs before you train on them. The exit code is 0 even if errors are found.
+
+    Args:
+        logs: A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags.
+        out: Output folder for inspection.json and the figure.
+        recordings: How to read recordings that softfin did not make.
+        overwrite: Replace existing output.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of inspection.json: issues, and a summary of the logs.
+
+    Example:
+        >>> print(softfin.inspect_logs("recordings"))
+    """
+    logs = Path(logs)
+    find_recordings(logs)
     if out is not None:
-        artifacts.check_vacant(out, overwrite)
-    config = config or ImportConfig()
-    opened = open_logs(path, config, progress)
+        artifacts.check_vacant(Path(out), overwrite)
+    from softfin.data.checks.report import write_inspection
+    from softfin.data.recordings import open_logs
+
+    recordings = recordings or ImportConfig()
+    opened = open_logs(logs, recordings, progress)
     metadata = {
-        "source": str(path),
-        "options": config.model_dump(mode="json"),
+        "source": str(logs),
+        "options": recordings.model_dump(mode="json"),
         "provenance": artifacts.provenance(data_hash=opened.data_hash),
     }
     if out is None:
-        return {**opened.inspection.to_dict(), **metadata}
-    return write_inspection(opened.inspection, opened.logs, out, metadata, overwrite)
+        values = {**opened.inspection.to_dict(), **metadata}
+    else:
+        values = write_inspection(opened.inspection, opened.logs, Path(out), metadata, overwrite)
+    return Result(values, inspection_table(values))
 
 
 def import_logs(
-    path: Path,
-    out: Path,
-    config: ImportConfig | None = None,
+    logs: Annotated[PathLike, LOGS],
     *,
+    out: Annotated[PathLike, DIR],
+    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
     ignore_errors: bool = False,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> tuple[Dataset, Inspection]:
-    """Convert recordings of any kind to a dataset; raises LogError if they have errors and
-    `ignore_errors` is not set."""
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Convert CSV files, Parquet files or ROS 2 bags into a 100 Hz dataset. Logs with errors are
+    rejected.
+
+    Args:
+        logs: A recording, or a folder of recordings.
+        out: Dataset folder to write.
+        recordings: How to read recordings that softfin did not make.
+        ignore_errors: Also import logs with errors.
+        overwrite: Replace existing output.
+        progress: Function that is called with the progress.
+
+    Returns:
+        Folder and hash of the dataset, and a summary of the logs.
+
+    Raises:
+        LogError: The logs have errors, which are not ignored.
+
+    Example:
+        >>> softfin.import_logs("recordings", out="dataset")
+    """
+    logs = Path(logs)
+    out = Path(out)
+    find_recordings(logs)
     artifacts.check_vacant(out, overwrite)
-    opened = open_logs(path, config or ImportConfig(), progress)
-    opened.check_train(str(path))
-    opened.check_issues(str(path), ignore_errors)
+    from softfin.data.recordings import open_logs
+    from softfin.storage.dataset import write_dataset
+
+    opened = open_logs(logs, recordings or ImportConfig(), progress)
+    opened.check_train(str(logs))
+    opened.check_issues(str(logs), ignore_errors)
     metadata = {
         **opened.metadata,
         "ignore_errors": ignore_errors,
         "provenance": artifacts.provenance(),
     }
-    return write_dataset(out, opened.train, opened.test, metadata, overwrite), opened.inspection
+    data = write_dataset(out, opened.train, opened.test, metadata, overwrite)
+    summary = opened.inspection.summary()
+    return Result(
+        {"dataset": str(out), **summary, "data_hash": data.data_hash},
+        f"{columns_read(summary['columns'])}{out}: {summary['logs']} + {summary['test_logs']} "
+        f"logs, {summary['rows']:,} rows; {issue_counts(summary['counts'])}",
+    )
+
+
+def recover_recording(
+    recording: Annotated[PathLike, RECORDING],
+    *,
+    out: Annotated[PathLike | None, FILE] = None,
+    overwrite: bool = False,
+) -> Result:
+    """Recover the readings from a truncated or damaged recording.
+
+    Args:
+        recording: File to recover (.mcap).
+        out: File to write (default: NAME.recovered.mcap).
+        overwrite: Replace an existing file.
+
+    Returns:
+        File that was written, number of messages, and what could not be read.
+
+    Example:
+        >>> softfin.recover_recording("run.mcap")
+    """
+    from softfin.storage.bag.recovery import recover, recovered_path
+
+    recording = Path(recording)
+    out = recovered_path(recording) if out is None else Path(out)
+    recovery = recover(recording, out, overwrite)
+    messages = counted(sum(recovery.messages.values()), "message")
+    reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)
+    state = f"damaged at {reasons[:300]}" if reasons else "not damaged"
+    return Result(
+        {"recovered": str(out), **recovery.to_dict()}, f"{out}: {messages} recovered; {state}"
+    )
+
+
+def columns_read(columns: Mapping[str, str]) -> str:
+    """Return one line per log: how columns without softfin's names were interpreted."""
+    return "".join(f"{log}: {text}\n" for log, text in columns.items())
+
+
+def inspection_table(result: JsonObject) -> str:
+    """Return a summary of the logs, followed by each issue."""
+    summary = result["summary"]
+    counts = summary["counts"]
+    lines = [
+        f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
+        f"{summary['rows'] / 6000:.1f} minutes",
+        f"command to angle {_lag(summary['command_lag_ms'])}; "
+        f"angle to force {_lag(summary['force_lag_ms'])}",
+    ]
+    if (frames := summary["frames"]) is not None:
+        best = max(frames, key=frames.__getitem__)
+        other = "" if best == "x,y" else f"; as {best} {frames[best]:.2f}"
+        lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
+    for channel, (low, high) in summary["channels"].items():
+        lines.append(f"channel {channel}: {low:.3g} .. {high:.3g}")
+    lines.append("")
+    for issue in result["issues"]:
+        lines += _issue_lines(issue)
+    lines.append(issue_counts(counts))
+    if counts["error"]:
+        lines.append("fit and import-logs reject logs with errors unless you add --ignore-errors")
+    return "\n".join(lines)
+
+
+def _issue_lines(issue: JsonObject) -> list[str]:
+    """Return the location of an issue, then its message and its fix, indented."""
+    row = issue["row"]
+    others = len(issue["logs"]) - 1
+    place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
+    more = f" (and {counted(others, 'more log')})" if others else ""
+    lines = [f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"]
+    for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
+        lines += textwrap.wrap(
+            text or "",
+            110,
+            initial_indent=" " * 9,
+            subsequent_indent=" " * 9,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return lines
+
+
+def _lag(lag: Mapping[str, float] | None) -> str:
+    if lag is None:
+        return "unknown"
+    return f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
+
+
+def issue_counts(counts: Mapping[str, int]) -> str:
+    """Return the number of issues of each severity, as text."""
+    return ", ".join(counted(count, kind) for kind, count in counts.items())

@@ -25,11 +25,9 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ
 from softfin.evaluation.evaluate import Evaluation, score_controller, together, write_evaluation
-from softfin.evaluation.figures import experiments_figure, held_figure, moving_figure
-from softfin.evaluation.headline import headline
+from softfin.evaluation.figures import experiments_figure, moving_figure
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
-from softfin.evaluation.scores import settled_band
 from softfin.learning.controllers import Curve, learning_curve, learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
@@ -147,7 +145,7 @@ class _Reproduction:
         A complete run that is being replaced is kept until this one is complete.
         """
         configuration = self.config.model_dump(mode="json")
-        plant = identity(find_plant(self.plant), computed=True)
+        plant = identity(find_plant(self.plant))
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
             try:
@@ -302,7 +300,7 @@ class _Reproduction:
         evaluated = Evaluated()
         changes: JsonObject = {} if trim else {"trim": None}
         if not moving:
-            changes |= {"moving": (), "recorded": None}
+            changes |= {"moving": False, "recorded": None}
         with self.timed(folder, what):
             target = find_plant(plant)
             progress = self.begin(folder)
@@ -334,24 +332,18 @@ class _Reproduction:
     ) -> dict[str, dict[str, Figure]]:
         """Draw the report's figures by section; the moving references are those of `shown`."""
         figures: dict[str, dict[str, Figure]] = {
-            "headline": {},
             "surrogate": {} if results["surrogate"] is None else self.surrogate_figures(),
             "learning": self.learning_figures(),
             "experiment": {},
             "moving": {},
         }
-        best = headline(results)
-        if best is not None:
-            evaluation = shown[best.controller][1]
-            band_n = settled_band(evaluation.reachable)
-            figures["headline"][best.caption] = held_figure(evaluation.recording, band_n)
         for kind, (_, evaluation) in evaluated.items():
             caption = f"{kind} controller, seed {self.seed}"
             figures["experiment"][caption] = experiments_figure(evaluation.recording)
         for kind, (_, evaluation) in shown.items():
-            if evaluation.moving:
-                caption = f"{kind} controller, seed {self.seed}"
-                figures["moving"][caption] = moving_figure(evaluation.moving)
+            for moving in evaluation.moving:
+                caption = f"{kind} controller, seed {self.seed}, {moving.plan.name}"
+                figures["moving"][caption] = moving_figure(moving)
         return figures
 
     def learning_figures(self) -> dict[str, Figure]:

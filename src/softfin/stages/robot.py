@@ -1,62 +1,185 @@
-"""Stage for robots with several fins: evaluation of a robot's node in simulation."""
+"""Commands for robots with several fins: check one, evaluate its node in simulation, and run it."""
 
+import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from softfin.control.store import load_controller
+from cyclopts import Parameter
+
+from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
+from softfin.core.option_types import CONTROLLER, DIR, HIDDEN, PLANT, Config, PathLike
 from softfin.core.progress import Progress, silent
-from softfin.robot.description import RobotConfig, load_robot
-from softfin.robot.evaluate import RobotEvaluateConfig, SimulatedFin, evaluate_robot
-from softfin.stages.evaluation import check_limits
+from softfin.core.result import Result
+from softfin.rig.ros2.config import TransportConfig
+from softfin.stages.driving import typed_fields
 from softfin.storage import artifact as artifacts
-from softfin.storage.registry import find_plant
-from softfin.tank import Tank
+
+if TYPE_CHECKING:
+    from softfin.robot.description import RobotConfig
+    from softfin.robot.evaluate import SimulatedFin
+
+ROBOT = Parameter(metavar="ROBOT")
+
+
+def check(robot: Annotated[PathLike, ROBOT] = "ucat", *, max_thrust: float | None = None) -> Result:
+    """Check a robot with several fins: rank, singular values, reach and stability.
+
+    Args:
+        robot: Name of a robot, or its YAML file.
+        max_thrust: Maximum mean force that each fin can produce in every direction [N].
+
+    Returns:
+        Rank, singular values, largest forces and moments, and problems.
+    """
+    from softfin.robot.check import check_robot
+    from softfin.robot.description import load_robot, max_thrust_per_fin
+
+    body = load_robot(str(robot))
+    found = check_robot(body, max_thrust_per_fin(body, max_thrust))
+    lines = _reach_lines(found)
+    if abs(found["sinks_n"]) > 1e-3:
+        verb = "sinks" if found["sinks_n"] > 0 else "rises"
+        lines.append(f"{verb} with {abs(found['sinks_n']):.2f} N")
+    if found["swing_hz"]:
+        swings = " and ".join(f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items())
+        lines.append(
+            f"self-righting with {found['righting_nm_rad']:.2f} N m/rad: oscillates in {swings}"
+        )
+    lines.extend(f"warning: {problem}" for problem in found["problems"])
+    return Result(found, "\n".join(lines))
 
 
 def evaluate(
-    robot: str,
-    controllers: Sequence[Path],
-    out: Path,
-    config: RobotEvaluateConfig,
-    *,
-    plants: Sequence[str] = ("tank",),
+    robot: Annotated[PathLike, ROBOT],
+    *controllers: Annotated[PathLike, CONTROLLER],
+    plant: Annotated[tuple[str, ...], PLANT] = ("tank",),
+    out: Annotated[PathLike, DIR] = "runs/robot",
+    max_thrust: float | None = None,
+    targets: int | None = None,
+    dead: str | None = None,
+    repeats: int | None = None,
+    seed: int | None = None,
+    config: Config = None,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Evaluate a robot's node in simulation; writes ``robot.json`` to `out`.
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Evaluate a robot's ROS 2 node in simulation: wrench errors of fins in a tank, on a fixed
+    body.
 
-    `controllers` are one controller for all fins, or one for each fin in the order of the robot's
-    file; `plants` are their tanks.
+    Args:
+        robot: Name of a robot, or its YAML file.
+        controllers: Controller folder: one for all fins, or one for each fin in the order of the
+            robot's file.
+        plant: Tank in which the fins beat, or its YAML file: one for all fins, or one for each fin.
+        out: Output folder.
+        max_thrust: Maximum mean force that each fin can produce in every direction [N].
+        targets: Number of random target wrenches (default: 20).
+        dead: Name of a fin that is dead (default: none).
+        repeats: Repetitions of each target (default: 5).
+        seed: Seed for targets, starting times and sensors (default: 0).
+        config: `RobotEvaluateConfig`; its fields are options too.
+        overwrite: Replace existing output.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of robot.json.
     """
+    out = Path(out)
     artifacts.check_vacant(out, overwrite)
-    body = load_robot(robot)
-    fins = simulated_fins(body, controllers, plants)
-    found = evaluate_robot(body, fins, config, partial(progress, "robot"))
+    paths = [Path(controller) for controller in controllers]
+    for path in paths:
+        artifacts.find_description(path, "controller")
+    from softfin.robot.description import load_robot
+    from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot
+
+    settings = configure(
+        RobotEvaluateConfig(),
+        config,
+        max_thrust=max_thrust,
+        targets=targets,
+        dead=dead,
+        repeats=repeats,
+        seed=seed,
+    )
+    body = load_robot(str(robot))
+    fins = simulated_fins(body, paths, plant)
+    found = evaluate_robot(body, fins, settings, partial(progress, "robot"))
     result = {
         **artifacts.head("robot"),
         **found,
-        "controllers": [str(controller) for controller in controllers],
-        "plants": list(plants),
-        "configuration": config.model_dump(mode="json"),
-        "provenance": artifacts.provenance(seed=config.seed),
+        "controllers": [str(path) for path in paths],
+        "plants": list(plant),
+        "configuration": settings.model_dump(mode="json"),
+        "provenance": artifacts.provenance(seed=settings.seed),
     }
     artifacts.write_folder(
         out, lambda folder: artifacts.write_description(folder, "robot", result), overwrite
     )
-    return result
+    return Result(result, "\n".join([*_error_table(result), f"{out}: robot.json"]))
+
+
+def ros2(
+    robot: Annotated[PathLike, ROBOT] = "ucat",
+    *,
+    max_thrust: float | None = None,
+    config: Config = None,
+    connection: Annotated[TransportConfig | None, HIDDEN] = None,
+) -> None:
+    """Run a ROS 2 node that distributes the wrenches from a topic among the fins of a robot.
+
+    The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
+    nothing itself. Enter or a topic stops the node and the fins. See docs/robot.md.
+
+    Args:
+        robot: Name of a robot, or its YAML file.
+        max_thrust: Maximum mean force that each fin can produce in every direction [N].
+        config: `RobotNodeConfig`; its fields are options too.
+        connection: How to reach other nodes.
+    """
+    from softfin.rig.arming import on_terminal, say, typed
+    from softfin.rig.ros2.plant import open_transport
+    from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
+    from softfin.robot.description import load_robot
+    from softfin.robot.node import RobotNode
+    from softfin.robot.node_config import RobotNodeConfig
+
+    settings = configure(
+        RobotNodeConfig(), config, max_thrust=max_thrust, connection=typed_fields(connection)
+    )
+    body = load_robot(str(robot))
+    transport = open_transport(settings.connection)
+    request = StopRequest()
+    try:
+        node = RobotNode(transport, body, settings, say)
+        for note in transport.notes:
+            say(note)
+        if on_terminal():
+            line = "wrenches come from the topic; press Enter alone to stop the fins"
+            listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
+        with stopped_by_signals(request):
+            node.run(request)
+    finally:
+        transport.close()
 
 
 def simulated_fins(
-    robot: RobotConfig, controllers: Sequence[Path], plants: Sequence[str]
-) -> list[SimulatedFin]:
+    robot: "RobotConfig", controllers: Sequence[Path], plants: Sequence[str]
+) -> "list[SimulatedFin]":
     """Load the controller and the tank of each fin: one for all, or one for each.
 
     Raises ConfigurationError for a wrong number of them and for a plant that is not a tank, and
     PlantError for a controller that exceeds its tank's limits.
     """
+    from softfin.control.store import load_controller
+    from softfin.robot.evaluate import SimulatedFin
+    from softfin.stages.evaluation import check_limits
+    from softfin.storage.registry import find_plant
+    from softfin.tank import Tank
+
     count = len(robot.fins)
     for given, what in ((controllers, "controllers"), (plants, "plants")):
         if len(given) not in (1, count):
@@ -78,3 +201,51 @@ def simulated_fins(
         check_limits(controller.limits, tank.limits, path, plant)
         fins.append(SimulatedFin(controller, tank))
     return fins
+
+
+def _reach_lines(found: JsonObject) -> list[str]:
+    """Return a robot's rank, singular values, and largest forces and moments."""
+    singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
+    lines = [
+        f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
+        f"singular values  {singular_values}",
+    ]
+    for name, rank in found["rank_without"].items():
+        lines.append(f"without {name}: rank {rank}")
+    reach = ", ".join(f"{name} {force:.2f} N" for name, force in found["max_thrust_n"].items())
+    lines.append(f"maximum mean force of each fin  {reach}")
+    # Three forces, then three moments.
+    for index, (name, most) in enumerate(found["reach"].items()):
+        unit, acceleration_unit = ("N", "m/s2") if index < 3 else ("N m", "rad/s2")
+        acceleration = found["acceleration"][name]
+        lines.append(
+            f"{name:6} up to {most:5.2f} {unit} ({acceleration:.2f} {acceleration_unit} from rest)"
+        )
+    return lines
+
+
+def _error_table(found: JsonObject) -> list[str]:
+    """Return the wrench errors of an evaluation, one line per axis."""
+    from softfin.stages.tables import aligned
+
+    config = found["configuration"]
+    fins = "all fins" if found["dead"] is None else f"{found['dead']} dead"
+    cells = [["", "", "target", "error", "worst", "of references", "ripple"]]
+    # Three forces, then three moments.
+    for index, name in enumerate(found["error"]):
+        columns = ("target", "error", "error_worst", "error_of_references", "ripple")
+        values = [f"{found[column][name]:.3f}" for column in columns]
+        cells.append([name, "N" if index < 3 else "N m", *values])
+    lines = [
+        f"{found['robot']}, {fins}: {config['targets']} target wrenches, {config['repeats']} times "
+        f"{found['seconds']:g} s; means of the absolute values",
+        *aligned(cells, (0, 1)),
+    ]
+    if found["targets_given_up"]:
+        lines.append(f"{found['targets_given_up']} targets are out of the fins' reach")
+    if found["references_unreachable"]:
+        lines.append(
+            f"{found['references_unreachable']:.0%} of the references are unreachable for their "
+            "fin, which tracks the nearest reachable force instead"
+        )
+    return lines

@@ -1,74 +1,94 @@
 """Stages for models of a fin: fit a surrogate (paper Sec. III-B), and calibrate the tank."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
-from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.choices import CalibratePreset
+from softfin.core.configuration import configure
+from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
+from softfin.core.option_types import DATA, DIR, HIDDEN, LOGS, Config, PathLike, PlantLike
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import MAX_ANGLE_RAD, Log, command_limits
-from softfin.core.window import window_means
+from softfin.core.result import Result
+from softfin.core.seeds import check_seed
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.recordings import open_logs
-from softfin.data.stroke_time import stroke_time
+from softfin.data.issues import counted
+from softfin.stages.logs import columns_read
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
-from softfin.storage.registry import plant_name
-from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate import SurrogateConfig, load_surrogate, save_surrogate
-from softfin.surrogate.channels import SKIPPED, ranges
+from softfin.storage.paths import find_recordings
+from softfin.storage.registry import check_data, plant_name
 from softfin.surrogate.registry import DEFAULT, find_architecture
-from softfin.surrogate.table_one import measured_ranges, table_one
-from softfin.surrogate.training import check_lengths
-from softfin.tank.calibration.calibrate import calibrate_tank
-from softfin.tank.calibration.config import CalibrateConfig
-from softfin.tank.calibration.model import material
+
+if TYPE_CHECKING:
+    from softfin.core.plant import Plant
+    from softfin.core.quantities import Log
+    from softfin.data.recordings import OpenedLogs
 
 
 @lock_output
 def fit(
-    dataset: Path,
-    out: Path,
-    config: SurrogateConfig | None = None,
+    dataset: Annotated[PathLike, LOGS],
     *,
-    logs: ImportConfig | None = None,
+    out: Annotated[PathLike, DIR],
+    model: str = DEFAULT,
+    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
     ignore_errors: bool = False,
     seed: int = 0,
+    config: Config = None,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Fit a surrogate to logs, score it on the test logs, and write it; returns Table I, issue
-    counts, a caveat, and a warning if noise hides the force in the logs.
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Fit a surrogate to logs and print its scores (paper Sec. III-B, Table I).
 
-    The class of the configuration selects the architecture: `StreamingConfig` (the default),
-    `FitConfig` for the paper's networks, or that of your own architecture.
-    `dataset` is a dataset's folder, or recordings of any other kind, read with the options in
-    `logs`. Raises LogError if the logs have errors, unless errors are ignored, now or when the
-    dataset was imported.
+    Args:
+        dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
+        out: Surrogate folder to write.
+        model: streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet; or
+            package.module:ARCHITECTURE.
+        recordings: How to read recordings that softfin did not make.
+        ignore_errors: Also fit to logs with errors.
+        seed: Seed for weights, shuffling and dropout.
+        config: Configuration of the model; its fields are options too, such as --members 3, or
+            --epochs 20 with --model paper.
+        resume: Continue from the last checkpoint of an unfinished run.
+        overwrite: Replace existing output, and discard an unfinished run.
+        progress: Function that is called with the progress.
+
+    Returns:
+        Table I, issue counts, stroke time, a caveat, and a warning if noise hides the force.
+
+    Raises:
+        LogError: The logs have errors, which are not ignored, now or when they were imported.
+
+    Example:
+        >>> softfin.fit("dataset", out="surrogate", config={"members": 3})
     """
-    config = config or find_architecture(DEFAULT).config()
-    architecture = find_architecture(config.model)
-    if type(config) is not architecture.config:
-        raise ConfigurationError(
-            f"{type(config).__name__}: its model {config.model} has a different configuration; set "
-            "the default of model to the package.module:NAME of your own architecture"
-        )
+    dataset = Path(dataset)
+    out = Path(out)
+    check_seed(seed)
+    find_recordings(dataset)
     artifacts.check_vacant(out, overwrite or resume)
-    description = (
-        artifacts.load_description(dataset, "dataset")
-        if artifacts.is_kind(dataset, "dataset")
-        else {}
-    )
-    opened = open_logs(dataset, logs, progress)
+    architecture = find_architecture(model)
+    settings = configure(architecture.config(), config)
+    from softfin.data.recordings import open_logs
+    from softfin.data.stroke_time import stroke_time
+    from softfin.storage.run_directory import RunDirectory
+    from softfin.surrogate import save_surrogate
+    from softfin.surrogate.channels import SKIPPED, ranges
+    from softfin.surrogate.table_one import measured_ranges, table_one
+    from softfin.surrogate.training import check_lengths
+
+    is_dataset = artifacts.is_kind(dataset, "dataset")
+    description = artifacts.load_description(dataset, "dataset") if is_dataset else {}
+    opened = open_logs(dataset, recordings, progress)
     opened.check_train(str(dataset))
     were_ignored = description.get("ignore_errors") is True
     opened.check_issues(str(dataset), ignore_errors or were_ignored)
     metadata = {
-        "configuration": config.model_dump(mode="json"),
+        "configuration": settings.model_dump(mode="json"),
         "seed": seed,
         "data_hash": opened.data_hash,
     }
@@ -80,7 +100,7 @@ def fit(
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted = architecture.fit(opened.train, config, seed, run_directory, progress)
+        fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
         # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
@@ -99,23 +119,61 @@ def fit(
             fin=description.get("fin"),
         )
     run_directory.finish()
+    return _summarize_fit(dataset, out, opened)
+
+
+def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs") -> Result:
+    from softfin.core.action_clock import ActionClock
+    from softfin.core.plant import EnsemblePlant
+    from softfin.stages.tables import format_table_one
+    from softfin.surrogate import load_surrogate
+
     written = artifacts.load_description(out, "surrogate")
     surrogate = load_surrogate(out)
     summary = opened.inspection.summary()
-    return {
+    stroke_s = written.get("stroke_s")
+    caveat = surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None
+    warning = _noise_warning(out, surrogate, opened.train)
+    parts = [format_table_one(written["scores"])]
+    if stroke_s is not None:
+        parts.append(
+            f"stroke time {stroke_s:.2g} s: softfin train --clock auto would use "
+            f"{ActionClock.for_strokes(stroke_s)}"
+        )
+    if caveat is not None:
+        parts.append(f"note: {caveat}")
+    notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
+    if warning is not None:
+        notes += f"warning: {warning}\n"
+    values = {
+        "surrogate": str(out),
         "model": surrogate.model,
         "table_i": written["scores"],
         "issues": summary["counts"],
         "columns": summary["columns"],
-        "stroke_s": written.get("stroke_s"),
-        "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
-        "warning": _noise_warning(out, surrogate, opened.train),
+        "stroke_s": stroke_s,
+        "caveat": caveat,
+        "warning": warning,
     }
+    return Result(values, notes + "\n\n".join(parts))
 
 
-def _noise_warning(out: Path, surrogate: Plant, logs: Sequence[Log]) -> str | None:
+def issue_line(counts: Mapping[str, int], dataset: Path) -> str:
+    """Return one line with the issue counts of the training logs; empty if there are no issues."""
+    if not counts["error"] + counts["warning"]:
+        return ""
+    found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)
+    return f"{dataset}: {found}; run softfin inspect {dataset} to list them\n"
+
+
+def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str | None:
     """Return a warning if the noise of the mean force hides the force in the logs; None if it does
     not, or if it is unknown."""
+    import numpy as np
+
+    from softfin.core.plant import NoisyPlant
+    from softfin.core.window import window_means
+
     if not isinstance(surrogate, NoisyPlant):
         return None
     noise_n = surrogate.mean_force_noise_n
@@ -134,8 +192,10 @@ def _noise_warning(out: Path, surrogate: Plant, logs: Sequence[Log]) -> str | No
     )
 
 
-def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
+def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
     """Raise LogError if no fin can have the training commands' range."""
+    from softfin.core.quantities import MAX_ANGLE_RAD, command_limits
+
     limits = command_limits(train)
     if problem := limits.problem(one_velocity=True):
         largest = max(abs(limits.angle_min), abs(limits.angle_max))
@@ -145,28 +205,78 @@ def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
 
 @lock_output
 def calibrate(
-    data: str | Path | Plant,
-    out: Path,
-    config: CalibrateConfig | None = None,
+    data: Annotated[PlantLike | Path, DATA],
     *,
+    out: Annotated[PathLike, DIR],
+    preset: CalibratePreset = "full",
     seed: int = 0,
+    config: Config = None,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> JsonObject:
-    """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml``
-    and figures."""
-    config = config or CalibrateConfig()
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Fit the virtual tank to logs or to a plant, and report how well each parameter is
+    determined.
+
+    Args:
+        data: Dataset folder, or a plant: tank, a tank's YAML file, a surrogate's folder, or
+            package.module:plant.
+        out: Output folder for calibration.json, tank.yaml and the figures.
+        preset: full: fit the parameters of fin, water, drive and recording; quick: fit six
+            parameters, in about a minute.
+        seed: Seed for the search and the commands.
+        config: `CalibrateConfig`; its fields are options too, such as --evaluations 0 for local
+            search only.
+        resume: Continue a stopped run.
+        overwrite: Replace existing output, and discard an unfinished run.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of calibration.json.
+
+    Example:
+        >>> softfin.calibrate("dataset", out="calibration", preset="quick")
+    """
+    out = Path(out)
+    check_seed(seed)
     artifacts.check_vacant(out, overwrite or resume)
-    train, test, source = material(data, config, seed)
-    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, **source}
+    check_data(data)
+    from softfin.storage.run_directory import RunDirectory
+    from softfin.tank.calibration.calibrate import calibrate_tank
+    from softfin.tank.calibration.config import CALIBRATE_PRESETS
+    from softfin.tank.calibration.model import material
+
+    settings = configure(CALIBRATE_PRESETS[preset], config)
+    train, test, source = material(data, settings, seed)
+    metadata = {"configuration": settings.model_dump(mode="json"), "seed": seed, **source}
     run_directory = RunDirectory(out, metadata, resume, overwrite)
-    if run_directory.complete:
-        run_directory.finish()
-        return artifacts.load_description(out, "calibration")
-    calibration = calibrate_tank(config, train, test, seed, run_directory, progress)
-    origin = artifacts.provenance(seed=seed, data=plant_name(data), **source)
-    written = {"configuration": metadata["configuration"], "provenance": origin}
-    summary = calibration.write(out, written, run_directory.keep_log, overwrite)
+    if not run_directory.complete:
+        calibration = calibrate_tank(settings, train, test, seed, run_directory, progress)
+        origin = artifacts.provenance(seed=seed, data=plant_name(data), **source)
+        written = {"configuration": metadata["configuration"], "provenance": origin}
+        calibration.write(out, written, run_directory.keep_log, overwrite)
     run_directory.finish()
-    return summary
+    summary = artifacts.load_description(out, "calibration")
+    return Result({"calibration": str(out), **summary}, calibration_tables(summary))
+
+
+def calibration_tables(result: JsonObject) -> str:
+    """Return the scores, then the parameters."""
+    from softfin.stages.tables import aligned
+
+    scores = [["R2 (RMSE)", "angle", "force x", "force y"]]
+    for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
+        rows = zip(result["scores"][part].values(), ("rad", "N", "N"), strict=True)
+        scores.append(
+            [title, *(f"{row['r2']:.3f} ({row['rmse']:.2g} {unit})" for row, unit in rows)]
+        )
+    parameters = [["parameter", "value", "error", "unit", "determined"]]
+    for name, row in result["parameters"].items():
+        error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
+        parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
+    trades = [
+        f"{' and '.join(pair['parameters'])} trade off against each other: correlation "
+        f"{pair['correlation']:+.2f}"
+        for pair in result["trades"]
+    ]
+    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3)), *trades])

@@ -1,10 +1,9 @@
 """Self-describing folders: a JSON file next to ``weights.safetensors``, written completely or not
 at all.
 
-A folder is written next to its destination, flushed to disk and renamed. A replaced folder is kept
-until then, so a crash loses neither. Reading never writes, and pickle is never used. NumPy and
-safetensors are imported only to read or write weights; the command line inspects folders without
-them.
+A folder is written next to its destination and renamed. A replaced folder is kept until then.
+Reading never writes, and pickle is never used. NumPy and safetensors are imported only to read or
+write weights; the command line inspects folders without them.
 """
 
 import contextlib
@@ -78,12 +77,8 @@ def is_kind(path: Path, kind: str) -> bool:
 
 def _is_own(path: Path, kind: str) -> bool:
     """Whether softfin wrote a folder of this kind; other programs also write a ``robot.json``."""
-    with contextlib.suppress(OSError, ValueError, RecursionError):
-        content = json.loads((path / f"{kind}.json").read_text())
-        # Early descriptions had no kind.
-        return isinstance(content, dict) and (
-            content.get("kind") == kind or "provenance" in content
-        )
+    with contextlib.suppress(ArtifactError):
+        return read_json(path / f"{kind}.json").get("kind") == kind
     return False
 
 
@@ -102,8 +97,6 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
         write(beside)
-        for place in (*beside.rglob("*"), beside):
-            sync(place)
     except BaseException as error:
         shutil.rmtree(beside, ignore_errors=True)
         if not isinstance(error, OSError):
@@ -111,28 +104,15 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         raise RunError(
             f"{path}: cannot be written ({error.strerror or error}); nothing else was changed"
         ) from None
-    # Another process may have written `path` while this one was computing, so check again. A rename
-    # is atomic: at any moment either the old or the new folder is complete.
     try:
+        # Another process may have written `path` while this one was computing, so check again.
         check_vacant(path, overwrite)
         if path.exists():
             path.rename(before)
         beside.rename(path)
-        sync(path.parent)
     except (OSError, ArtifactError) as error:
-        if before.exists():
-            before.rename(path)
-        # The result may have taken hours: keep it under an unused name.
-        number = 1
-        while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
-            number += 1
-        beside.rename(kept)
-        reason = "is now in use"
-        if isinstance(error, OSError):
-            reason = f"cannot be written ({error.strerror or error})"
-        raise RunError(
-            f"{path}: {reason}; the finished result is in {kept}; move it to where you want it"
-        ) from None
+        # The result may have taken hours, so it is kept.
+        raise RunError(f"{error}; the finished result is in {beside}; rename it") from None
     shutil.rmtree(before, ignore_errors=True)
 
 
@@ -205,7 +185,7 @@ class Head(TypedDict):
 
 def head(kind: str) -> Head:
     """Return the first entries of a description."""
-    return {"kind": kind, "format": FOLDERS[kind].number}
+    return {"kind": kind, "format": FOLDERS[kind]}
 
 
 def write_description(folder: Path, kind: str, description: Mapping[str, object]) -> None:

@@ -54,12 +54,9 @@ def styled() -> contextlib.AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
-def save_figure(
-    figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("svg", "png")
-) -> None:
-    """Write a figure as ``NAME.svg`` and ``NAME.png``."""
-    for kind in formats:
-        artifacts.write_file(folder / f"{name}.{kind}", _render(figure, kind))
+def save_figure(figure: Figure, file: Path) -> None:
+    """Write a figure in the format of the suffix, ``.png`` or ``.svg``."""
+    artifacts.write_file(file, _render(figure, file.suffix[1:]))
 
 
 def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:

@@ -21,7 +21,7 @@ from softfin.storage.formats import FILES, IN_FILE, check_file_format
 # float64: a float32 cannot resolve 10 ms after 36 hours, nor Unix time (1.7e9 s) at all.
 SCHEMA = pa.schema(
     [pa.field(name, pa.float64() if name == "time_s" else pa.float32()) for name in LOG_COLUMNS],
-    metadata={IN_FILE: str(FILES["log"].number)},
+    metadata={IN_FILE: str(FILES["log"])},
 )
 
 RATE_TOLERANCE = 0.01

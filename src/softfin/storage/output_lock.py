@@ -30,7 +30,7 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
     @wraps(stage)
     def run(*args: Arguments.args, **options: Arguments.kwargs) -> Result:
         # Resolve links, because they can give one folder several names.
-        out = parameters.bind(*args, **options).arguments["out"].resolve()
+        out = Path(parameters.bind(*args, **options).arguments["out"]).resolve()
         path = out.with_name(f".{out.name}.lock")
         missing = [folder for folder in path.parents if not folder.exists()]
         descriptor = _lock(out, path)

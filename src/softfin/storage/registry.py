@@ -70,6 +70,23 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     raise PlantError(f"plant {name}: unknown ({what}); use {HELP}")
 
 
+def check_plant(name: "str | Plant") -> None:
+    """Raise a PlantError if there is no simulated plant of this name."""
+    if isinstance(name, str):
+        resolve_plant(name)
+
+
+def check_data(name: "str | Path | Plant") -> None:
+    """Raise a SoftfinError if `name` is neither a dataset's folder nor a plant."""
+    if not isinstance(name, str | Path):
+        return
+    path = Path(name)
+    if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
+        artifacts.find_description(path, "dataset")
+    else:
+        resolve_plant(str(name))
+
+
 def find_plant(name: "str | Plant") -> "Plant":
     """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
     Raises a PlantError that lists the possible names."""
@@ -86,7 +103,28 @@ def find_plant(name: "str | Plant") -> "Plant":
         ) from None
     if problem:
         raise PlantError(f"plant {name}: {problem}")
+    if not type(plant).__module__.startswith("softfin."):
+        _check_simulator(plant, name)
     return plant
+
+
+def _check_simulator(plant: "Plant", name: str) -> None:
+    """Raise a PlantError if a user's simulator has no identity or cannot be traced."""
+    import jax
+
+    from softfin.core.plant import rest_command
+    from softfin.core.plant_identity import identity
+
+    identity(plant)
+    command = rest_command(plant.limits)
+    try:
+        jax.eval_shape(lambda key: plant.advance(plant.init(key), command, 1), jax.random.key(0))
+    except Exception as error:
+        # The user's code may raise any error.
+        raise PlantError(
+            f"plant {name}: cannot be traced ({type(error).__name__}: {one_line(error)}); run "
+            "softfin.testing.check_plant to find out what is wrong"
+        ) from error
 
 
 def plant_name(plant: object) -> str:

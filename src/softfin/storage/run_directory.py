@@ -9,9 +9,6 @@ leaves either the old or the new checkpoint.
 import importlib.metadata
 import json
 import shutil
-import socket
-import struct
-import time
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -30,8 +27,8 @@ Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
 TRAINING_LOG = "training"
-"""Subfolder of a finished artifact with ``log.jsonl``, the TensorBoard event file, and a
-description of the run that wrote them."""
+"""Subfolder of a finished artifact with ``log.jsonl`` and a description of the run that wrote
+it."""
 RUN = "run.json"
 LOG = "log.jsonl"
 FIX = "free disk space, then use --resume"
@@ -44,15 +41,12 @@ class RunDirectory:
     def __init__(
         self, out: Path, fingerprint: JsonObject, resume: bool = False, overwrite: bool = False
     ) -> None:
-        """Claim ``.NAME.unfinished`` next to `out`: continue it with `resume`, empty it with
-        `overwrite`.
+        """Claim ``.NAME.unfinished`` next to `out`: continue it with `resume`, or empty it with
+        `overwrite`. The fingerprint of configuration, data and seed identifies a run.
 
-        With both, the folder is continued if its checkpoints are intact and belong to the same run,
-        and emptied otherwise. The fingerprint of configuration, data and seed identifies a run.
-        Raises ArtifactError if there is unfinished work and neither flag is set, or if it belongs
-        to another run and must not be overwritten.
+        Raises ArtifactError if there is unfinished work and neither flag is set, and with `resume`
+        if the unfinished or finished work belongs to another run.
         """
-        self.overwrite = overwrite
         # Next to the lock of the output, whatever the name by which it is reached.
         self.folder = out.resolve().with_name(f".{out.resolve().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
@@ -66,52 +60,37 @@ class RunDirectory:
         artifacts.check_vacant(out, overwrite)
         checkpoint = self.folder / CHECKPOINT
         if resume:
-            try:
-                if checkpoint.exists():
-                    self._read(checkpoint)
-            except ArtifactError:
-                if not overwrite:
-                    raise
-                shutil.rmtree(self.folder)
-        elif self.folder.exists():
-            if not overwrite and checkpoint.exists():
-                raise ArtifactError(
-                    f"{self.folder}: contains an unfinished run; continue with --resume, or "
-                    "discard it with --overwrite"
-                )
-            shutil.rmtree(self.folder)
+            if checkpoint.exists():
+                self._read(checkpoint)
+            return
+        if checkpoint.exists() and not overwrite:
+            raise ArtifactError(
+                f"{self.folder}: contains an unfinished run; continue with --resume, or discard it "
+                "with --overwrite"
+            )
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
-        whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
+        run = {"software": _software(), "fingerprint": self.fingerprint}
         artifacts.write_file(
-            self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}), FIX
+            self.folder / CHECKPOINT,
+            artifacts.encode(_name_tree(tree), {"facts": json.dumps(run | metadata)}),
+            FIX,
         )
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
         """Return the last checkpoint, with the structure of `like`; None if there is none yet.
-
-        A checkpoint that does not match raises ArtifactError, or is treated as absent if it may be
-        overwritten.
-        """
+        Raises ArtifactError for a checkpoint of another structure."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
-        expected, structure = _named(like)
-        # Compare both ways, so that missing and additional leaves are found as well.
-        for name in sorted(arrays | expected):
-            there = _describe_leaf(arrays, name)
-            here = _describe_leaf(expected, name)
-            if there != here:
-                if self.overwrite:
-                    return None
-                raise ArtifactError(
-                    f"{path}: does not match this training state ({name} is {there} in the "
-                    f"checkpoint, {here} in this run); start again with --overwrite"
-                )
+        expected = _name_tree(like)
+        # By name, because leaves of the same shape could otherwise be exchanged.
+        check_same(path, _describe(arrays), _describe(expected), "start again with --overwrite")
         leaves = [jnp.asarray(arrays[name]) for name in expected]
-        return jax.tree.unflatten(structure, leaves), metadata
+        return jax.tree.unflatten(jax.tree.structure(like), leaves), metadata
 
     def _read(self, path: Path) -> tuple[dict[str, np.ndarray], JsonObject]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
@@ -119,25 +98,19 @@ class RunDirectory:
             with safetensors.safe_open(path, "numpy") as file:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 metadata: JsonObject = json.loads(file.metadata()["facts"])
-        except (
-            OSError,
-            KeyError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            safetensors.SafetensorError,
-        ) as error:
+            fingerprint = metadata.pop("fingerprint")
+            software = metadata.pop("software")
+        except (OSError, KeyError, TypeError, ValueError, safetensors.SafetensorError) as error:
             raise ArtifactError(
                 f"{path}: damaged ({error}); start again with --overwrite"
             ) from None
-        before = metadata.pop("fingerprint", {})
-        software = metadata.pop("software", "an older softfin")
+        # The training state and the next random numbers depend on both versions.
         if software != _software():
             raise ArtifactError(
                 f"{path}: written by {software}, but this is {_software()}; resume with that "
                 "version, or use --overwrite"
             )
-        check_same(path, before, self.fingerprint)
+        check_same(path, fingerprint, self.fingerprint)
         return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
@@ -150,8 +123,8 @@ class RunDirectory:
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
-        for file in (*self.folder.glob(LOG), *self.folder.glob("events.*")):
-            shutil.copy(file, folder)
+        if (self.folder / LOG).exists():
+            shutil.copy(self.folder / LOG, folder)
 
     def finish(self) -> None:
         """Remove the folder once the artifact is complete."""
@@ -159,12 +132,7 @@ class RunDirectory:
 
 
 class RunLog:
-    """Scalars of a run: one line of JSON per step, and an event file for TensorBoard.
-
-    The calling thread writes both files, so a full disk stops the run with an error. tensorboardX
-    would write from its own thread. If a write fails, this thread ends without a message, its queue
-    fills, and the run waits forever.
-    """
+    """Scalars of a run: one line of JSON per step."""
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
         self.path = folder / LOG
@@ -173,46 +141,19 @@ class RunLog:
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept), FIX)
-        name = f"events.out.tfevents.{time.time():.0f}.{socket.gethostname()}.softfin"
-        self.event_path = folder / name
-        self._append_event(file_version="brain.Event:2")
-        # This makes TensorBoard discard this step and later steps from earlier event files.
-        self._append_event(step=last + 1, session_log={"status": "START"})
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step; ``log.jsonl`` contains null for non-finite values.
+        """Append the scalars of one step, with null for non-finite values.
 
-        Raises RunError if the files cannot be written, for example because the disk is full.
+        Raises RunError if the file cannot be written, for example because the disk is full.
         """
         numbers = {name: float(value) for name, value in scalars.items()}
-        entry = artifacts.plain({"step": step, **numbers})
-        _append(self.path, (json.dumps(entry, allow_nan=False) + "\n").encode())
-        values = [{"tag": name, "simple_value": value} for name, value in numbers.items()]
-        self._append_event(step=step, summary={"value": values})
-
-    def _append_event(self, **fields: object) -> None:
-        # Imported here, because importing protobuf takes a third of a second.
-        from tensorboardX.proto.event_pb2 import Event
-
-        event = Event(wall_time=time.time(), **fields)
-        _append(self.event_path, _tf_record(event.SerializeToString()))
-
-
-def _append(path: Path, data: bytes) -> None:
-    try:
-        with path.open("ab") as file:
-            file.write(data)
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror}); {FIX}") from None
-
-
-def _tf_record(data: bytes) -> bytes:
-    """Return a record of TensorBoard's file format: the length and the data, each followed by its
-    masked CRC-32C."""
-    from tensorboardX.record_writer import masked_crc32c
-
-    parts = (struct.pack("<Q", len(data)), data)
-    return b"".join(part + struct.pack("<I", masked_crc32c(part)) for part in parts)
+        entry = json.dumps(artifacts.plain({"step": step, **numbers}), allow_nan=False)
+        try:
+            with self.path.open("a") as file:
+                file.write(entry + "\n")
+        except OSError as error:
+            raise RunError(f"{self.path}: cannot be written ({error.strerror}); {FIX}") from None
 
 
 def read_training_log(path: Path) -> list[JsonObject]:
@@ -228,23 +169,19 @@ def read_training_log(path: Path) -> list[JsonObject]:
 
 
 def _software() -> str:
-    """Return the versions on which the training state and the next random numbers depend."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: PyTree) -> tuple[dict[str, object], jax.tree_util.PyTreeDef]:
+def _name_tree(tree: PyTree) -> dict[str, object]:
     """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
     of the structure."""
-    paths, structure = jax.tree_util.tree_flatten_with_path(tree)
-    return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
+    return name_leaves({"tree": tree})
 
 
-def _describe_leaf(leaves: Mapping[str, object], name: str) -> str:
-    """Return dtype and shape."""
-    if name not in leaves:
-        return "missing"
-    array = np.asarray(leaves[name])
-    return f"{array.dtype} {array.shape}"
+def _describe(leaves: Mapping[str, object]) -> dict[str, str]:
+    """Return the type and shape of each leaf."""
+    arrays = {name: np.asarray(leaf) for name, leaf in leaves.items()}
+    return {name: f"{array.dtype} {array.shape}" for name, array in arrays.items()}
 
 
 def check_same(

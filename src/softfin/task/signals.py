@@ -1,4 +1,5 @@
-"""Moving references, from a formula or a file: one reference force for every tick of 10 ms.
+"""Moving references, such as steps or the rows of a file: one reference force for every tick of
+10 ms.
 
 Tick k starts at k * 10 ms and lasts 10 ms. A controller reads the reference when it acts, three
 times per second, so it sees a change between two actions at the second one.
@@ -8,28 +9,25 @@ ignored. Each row applies from its time until the next row. softfin's logs also 
 but start one tick late, at 0.01 s; a first row up to one tick late therefore applies from time 0.
 """
 
-from abc import abstractmethod
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Float
-from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError, one_line
 from softfin.core.quantities import RATE_HZ, TICK_S
-from softfin.gaits.reachable import format_force
+from softfin.gaits.reachable import ForceVector, format_force
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
 
 ReferenceForce = tuple[FiniteFloat, FiniteFloat]
 
-TickTimes = Float[np.ndarray, " ticks"]
 ReferenceSamples = Float[np.ndarray, "ticks 2"]
-"""Reference forces (x, y) [N]; float32 outside this module."""
+"""Reference forces (x, y) [N]."""
 
 CLOCK_S = 1e-6
 """Distance from a tick within which a time is assigned to that tick [s]. It is needed because sums
@@ -45,95 +43,10 @@ MAX_REFERENCE_ROWS = 360_000
 """Maximum number of rows: an hour at 100 Hz, the rate of readings."""
 
 
-class Signal(Configuration):
-    """Base class of all signals; `kind` identifies the class in files."""
-
-    kind: str
-
-    @abstractmethod
-    def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        """Return the reference (x, y) [N] at each time."""
-
-    def sample(self, ticks: int) -> ReferenceSamples:
-        """Return the reference at 100 Hz, starting at time 0."""
-        return np.asarray(self._at(np.arange(ticks) / RATE_HZ), np.float32)
-
-
-class Step(Signal):
-    """A step from one force to another."""
-
-    kind: Literal["step"] = "step"
-    start_n: ReferenceForce
-    """Force before the step (x, y) [N]."""
-    to_n: ReferenceForce
-    """Force after the step (x, y) [N]."""
-    at_s: NonNegativeFloat = 10.0
-    """Time of the step [s]; controllers act at every whole second."""
-
-    def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        return np.where(time_s[:, None] >= self.at_s - CLOCK_S, self.to_n, self.start_n)
-
-    def __str__(self) -> str:
-        start, to = map(format_force, (self.start_n, self.to_n))
-        return f"step {start} to {to} N at {self.at_s:g} s"
-
-
-class Ramp(Signal):
-    """A ramp from one force to another."""
-
-    kind: Literal["ramp"] = "ramp"
-    start_n: ReferenceForce
-    """Force before the ramp (x, y) [N]."""
-    to_n: ReferenceForce
-    """Force after the ramp (x, y) [N]."""
-    begin_s: NonNegativeFloat = 5.0
-    """Start of the ramp [s]."""
-    end_s: PositiveFloat = 15.0
-    """End of the ramp [s]."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "Ramp":
-        if self.end_s <= self.begin_s:
-            raise ValueError(
-                f"ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s"
-            )
-        return self
-
-    def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        # (1 - s) start + s to, with s from 0 to 1 over the ramp
-        part = np.clip((time_s[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
-        return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
-
-    def __str__(self) -> str:
-        start, to = map(format_force, (self.start_n, self.to_n))
-        return f"ramp {start} to {to} N from {self.begin_s:g} s to {self.end_s:g} s"
-
-
-class Sinusoid(Signal):
-    """Oscillation about a force, with both axes in phase."""
-
-    kind: Literal["sine"] = "sine"
-    centre_n: ReferenceForce
-    """Force at time 0 and after half a period (x, y) [N]."""
-    amplitude_n: ReferenceForce
-    """Amplitude of each axis (x, y) [N]; if negative, the force decreases first."""
-    period_s: PositiveFloat = 10.0
-    """Period [s]; 10 s are five windows of the moving average."""
-
-    def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        turn = np.sin(2 * np.pi * time_s[:, None] / self.period_s)
-        return np.asarray(np.asarray(self.centre_n) + turn * np.asarray(self.amplitude_n))
-
-    def __str__(self) -> str:
-        centre, amplitude = map(format_force, (self.centre_n, self.amplitude_n))
-        return f"sine about {centre} N, amplitude {amplitude} N, of {self.period_s:g} s"
-
-
-class Recorded(Signal):
+class Recorded(Configuration):
     """Forces that start at given times, each held until the next one; the last one is held forever.
     Nothing is interpolated."""
 
-    kind: Literal["recorded"] = "recorded"
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
     """Times at which each force starts [s], increasing from 0."""
     force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
@@ -165,15 +78,22 @@ class Recorded(Signal):
         # last + (last - before), rounded up
         return int(np.ceil(2 * last - before - CLOCK_S))
 
-    def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        return np.asarray(self.force_n)[
-            np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1
-        ]
+    def sample(self, ticks: int) -> ReferenceSamples:
+        """Return the reference (x, y) at 100 Hz, starting at time 0."""
+        time_s = np.arange(ticks) / RATE_HZ + CLOCK_S
+        rows = np.searchsorted(self.time_s, time_s, side="right") - 1
+        return np.asarray(self.force_n, np.float32)[rows]
 
     def __str__(self) -> str:
         if len(self.force_n) == 2:
-            return str(Step(start_n=self.force_n[0], to_n=self.force_n[1], at_s=self.time_s[1]))
+            start, to = map(format_force, self.force_n)
+            return f"step {start} to {to} N at {self.time_s[1]:g} s"
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
+
+
+def step(start_n: ForceVector, to_n: ForceVector, at_s: float | int = 10.0) -> Recorded:
+    """Return a reference that steps from one force to another [N]."""
+    return Recorded(time_s=(0.0, at_s), force_n=(start_n, to_n))
 
 
 def read_reference_file(path: Path) -> Recorded:

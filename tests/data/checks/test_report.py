@@ -1,5 +1,4 @@
 import json
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -48,16 +47,14 @@ def test_lags_and_axes_of_all_logs_are_drawn():
     assert max(widths, key=widths.__getitem__) == "x,-y"
 
 
-def test_the_folder_holds_json_and_both_figures(tmp_path):
+def test_the_folder_holds_json_and_the_figure(tmp_path):
     logs = named(*tank_logs(2))
     written = write_inspection(inspect(logs), logs, tmp_path / "i", {"source": "here"})
     assert json.loads((tmp_path / "i" / "inspection.json").read_text()) == json.loads(
         json.dumps(written)
     )
     assert written["issues"] == []
-    ElementTree.parse(tmp_path / "i" / "inspection.svg")
     assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000
-    assert "0 errors, 0 warnings" in (tmp_path / "i" / "inspection.svg").read_text()
 
 
 def test_further_channels_have_plots_of_their_own_and_ranges_in_the_summary():

@@ -194,7 +194,7 @@ def test_a_slow_source_is_a_warning():
 @pytest.mark.parametrize("factor", [1e3, 1e-4, 1e-9])
 def test_a_clock_in_another_unit_is_refused_with_the_option(factor):
     one = track()
-    with pytest.raises(LogError, match=r"if the time is in another unit, .* --time-unit ms"):
+    with pytest.raises(LogError, match="--time-unit ms"):
         logs(one._replace(time=one.time * factor))
 
 
@@ -211,14 +211,10 @@ def test_a_velocity_that_is_not_there_is_the_angles_central_difference():
 def test_three_clocks_meet_where_all_have_begun_and_commands_hold():
     time = np.arange(0, 10, 0.01)
     joint = Track(time + 0.003, {"angle": time, "velocity": np.ones_like(time)})
-    wrench = Track(
-        np.arange(0.5, 9, 0.001),
-        {name: np.arange(0.5, 9, 0.001) for name in ("force_x", "force_y")},
-    )
-    command = Track(
-        np.array([1.0, 2.0, 5.004]),
-        {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)},
-    )
+    fast = np.arange(0.5, 9, 0.001)
+    wrench = Track(fast, {"force_x": fast, "force_y": fast})
+    steps = {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)}
+    command = Track(np.array([1.0, 2.0, 5.004]), steps)
     (log,), _ = logs(joint, wrench, command)
     reading = log.log.reading
     time = log.start_s + log.log.reading.time
@@ -251,10 +247,10 @@ def test_a_lag_that_is_given_is_taken_out(option, channel):
         late.channels[name][5:] = late.channels[name][:-5].copy()
     (log,), _ = logs(late, **{option: 50})
     (plain,), _ = logs(track())
-    series = {
-        "force_x": lambda one: one.reading.force[:, 0],
-        "command_angle": lambda one: one.command.angle,
-    }[channel]
+
+    def series(one):
+        return one.reading.force[:, 0] if channel == "force_x" else one.command.angle
+
     row = int(np.flatnonzero(np.isclose(plain.log.reading.time, log.log.reading.time[0]))[0])
     count = min(len(log.log.reading.time), 900)
     np.testing.assert_allclose(
@@ -291,20 +287,15 @@ def test_missing_values_of_a_further_channel_cost_no_row():
     np.testing.assert_array_equal(one.log.reading.force, plain.log.reading.force)
     np.testing.assert_allclose(one.log.channels["temperature_c"][1:], ramp[1:], atol=1e-5)
     (issue,) = issues
-    assert (issue.severity, issue.name, issue.column) == (
-        "warning",
-        "channel gap",
-        "temperature_c",
-    )
+    assert (issue.severity, issue.name) == ("warning", "channel gap")
+    assert issue.column == "temperature_c"
     assert "no values for up to 1.02 s" in issue.message
 
 
 def test_a_channel_without_values_is_left_out_with_a_warning():
     (one,), issues = logs(with_channel(track(), current_a=np.full(1000, np.nan)))
     assert one.log.channels == {}
-    assert [(issue.name, issue.fix) for issue in issues] == [
-        ("channel gap", "the channel is left out")
-    ]
+    assert kinds(issues) == ["channel gap"]
 
 
 def test_further_channels_are_filtered_resampled_and_split_like_the_log():

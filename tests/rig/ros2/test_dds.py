@@ -115,6 +115,7 @@ def test_the_configuration_is_of_this_computer_alone():
     assert "<AllowMulticast>false</AllowMulticast>" in dds.configuration(None)
 
 
+@pytest.mark.real_time
 def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(tmp_path):
     told = within("plant", tmp_path)
     at_rest, moved, stopped = told["angles"]
@@ -138,6 +139,7 @@ def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(t
     )
 
 
+@pytest.mark.real_time
 def test_a_force_sensor_reads_a_best_effort_driver_and_notices_a_second_publisher(tmp_path):
     told = within("sensor", tmp_path)
     assert told["wrench"] == pytest.approx([2.0, -1.0, 0.5, 0.1, 0.2, 0.3], abs=1e-3)
@@ -149,6 +151,7 @@ def test_a_force_sensor_reads_a_best_effort_driver_and_notices_a_second_publishe
     assert line.count(f" {json.loads((tmp_path / 'child.json').read_text())} on ") == 2
 
 
+@pytest.mark.real_time
 def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     told = within("node", tmp_path)
     assert told["reference"][:2] == [1.5, -2.5]
@@ -169,6 +172,7 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert messages.encode(wrench) == seen["wrench"]
 
 
+@pytest.mark.real_time
 def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_too(tmp_path):
     told = within("stops", tmp_path)
     assert told["heard"] == {
@@ -183,6 +187,7 @@ def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_
     ]
 
 
+@pytest.mark.real_time
 def test_a_driver_stops_by_itself_where_softfin_is_killed(tmp_path):
     told = within("dead_man", tmp_path)
     # At 0.1 rad/s, 0.2 s after the last command; it was on its way to 1.5 rad.

@@ -6,12 +6,12 @@ import itertools
 import pytest
 
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.plant import Ros2Machine
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.rig.conformance import check_machine
 from tests.rig.ros2.test_plant import CONFIG

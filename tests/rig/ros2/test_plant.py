@@ -9,10 +9,10 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.core.errors import CommandError, ConfigurationError, DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
 from softfin.rig.ros2.plant import Ros2Machine, open_transport
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.ros2_memory import MemoryTransport, Messages
 
 START = 1_700_000_000 * 10**9

@@ -4,14 +4,14 @@ the second program."""
 import pytest
 
 from softfin.core.errors import DeviceError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.ros2 import SimulatedTransport
 from softfin.rig.machine import Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.connection import Subscription
 from softfin.rig.ros2.plant import Ros2Machine
-from softfin.rig.ros2.simulated import SimulatedTransport
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.ros2.test_plant import CONFIG

@@ -1,7 +1,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
 from softfin.tank import TankConfig
@@ -50,8 +49,3 @@ def test_angles_are_scaled_and_shifted_velocities_scaled_and_limited_forces_shif
         force_y_n=-1.0,
     )
     np.testing.assert_allclose(read(config), [[-0.45, 2.5, -3.0], [0.15, 5.5, -6.0]], rtol=1e-6)
-
-
-def test_a_velocity_that_would_not_move_the_drive_is_refused():
-    with pytest.raises(ValueError, match="velocity_factor"):
-        RecordingConfig(velocity_factor=0.0)

@@ -27,15 +27,12 @@ def test_segments_come_from_all_logs_in_turn_and_end_with_them():
 
 
 def test_logs_too_short_for_a_segment_are_refused():
-    with pytest.raises(
-        LogError,
-        match=r"test logs: none has 11 rows, as a segment of 0.1 s requires; lower segment_s",
-    ):
+    with pytest.raises(LogError, match=r"test logs: .* segment_s"):
         cut([log(10)], 2, 10, 0, "test")
 
 
 def test_a_channel_that_never_changes_is_refused():
     still = log(30)
     still = still._replace(reading=still.reading._replace(force=np.zeros((30, 2), np.float32)))
-    with pytest.raises(LogError, match="training logs: force_x never changes"):
+    with pytest.raises(LogError, match="training logs: force_x"):
         cut([still], 2, 10, 0, "training")

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softfin.core.dynamixel import CENTER
 from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.statistics import (
@@ -23,7 +22,6 @@ from softfin.data.checks.statistics import (
 )
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
-from softfin.data.importing.names import DYNAMIXEL_UNIT
 from softfin.data.issues import Issue, Severity, counted
 
 STUCK_S = 1.0
@@ -51,10 +49,8 @@ OFFSET_SHARE = 0.2
 force."""
 
 COUNTS_FIX = (
-    f"--angles {DYNAMIXEL_UNIT} --angle-zero {CENTER} for a Dynamixel of the X series whose "
-    f"zero is at {CENTER}; for another drive, convert the counts in the file: angle = (count - "
-    "count at angle 0) * 2 * pi / counts per turn; convert the velocities from the drive's unit as "
-    "well"
+    "convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts per "
+    "turn; convert the velocities from the unit of the drive as well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 
@@ -115,7 +111,7 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
         option = ",".join(f"{channel}=deg" for channel in wrong)
     fix = f"--angles {option}"
     if are_integers:
-        fix = f"{fix}; if these integers are encoder counts instead, use {COUNTS_FIX}"
+        fix = f"{fix}; if these integers are encoder counts instead, {COUNTS_FIX}"
     message = f"{'; '.join(ranges)}: these look like degrees, not rad"
     yield log.issue("error", "degrees", wrong[0], message, fix)
 

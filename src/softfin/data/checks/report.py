@@ -47,7 +47,7 @@ def write_inspection(
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "inspection", summary)
-        save_figure(figure, folder, "inspection")
+        save_figure(figure, folder / "inspection.png")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

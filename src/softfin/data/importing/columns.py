@@ -13,13 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.dynamixel import MODELS, REGISTER_BITS
 from softfin.core.errors import LogError
 from softfin.core.log_channels import LOG_COLUMNS
-from softfin.data.importing.importing import FURTHER_KINDS, NO_COLUMN, ImportConfig, turned
+from softfin.data.importing.importing import NO_COLUMN, ImportConfig, turned
 from softfin.data.importing.names import (
     CHANNELS,
-    DYNAMIXEL_UNIT,
     FURTHER,
     KINDS,
     SI,
@@ -53,34 +51,20 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     own = [name for name in OWN_NAMES if name in names and OWN_NAMES[name] not in config.columns]
     found = {OWN_NAMES[name]: name for name in own}
     found |= _mapped_columns(names, config, source)
-    for kept, name in config.keep.items():
-        _check_column(names, name, f"--keep {kept}={name}", source)
     # Channels with a fixed value for the entire file are not looked up by name.
     options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
-    taken = [*found.values(), *config.keep.values()]
-    found |= _recognized_columns(names, taken, decided, config, source)
+    found |= _recognized_columns(names, list(found.values()), decided, source)
     settled = {*found, *stated, "velocity"}
     if missing := [channel for channel in CHANNELS if channel not in settled]:
         raise _missing_error(names, missing, source)
     columns = {}
     for channel in (*CHANNELS, *FURTHER):
-        if channel in found and FURTHER.get(channel) not in config.keep:
+        if channel in found:
             unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
             columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
     return columns
-
-
-def without_single_torque(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the columns without a torque about x or y that lacks the other one, because it cannot
-    be turned into softfin's axes."""
-    is_single = len({"torque_x", "torque_y"} & columns.keys()) == 1
-    return {
-        channel: column
-        for channel, column in columns.items()
-        if not (is_single and channel[:-1] == "torque_")
-    }
 
 
 def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:
@@ -104,7 +88,6 @@ def _recognized_columns(
     names: Sequence[str],
     taken: Collection[str],
     decided: Collection[str],
-    config: ImportConfig,
     source: str,
 ) -> dict[str, str]:
     """Return the columns recognized by name, for channels that are not yet decided."""
@@ -114,9 +97,8 @@ def _recognized_columns(
         if read is None or name in taken or read[0] in decided:
             continue
         channel, unit = read
-        # A drive's register has the same name, but contains counts.
-        is_sure = KINDS[channel] not in FURTHER_KINDS or unit or stated_unit(channel, config)
-        if is_sure:
+        # A torque or current without a unit may be a register of the drive, in counts.
+        if channel in CHANNELS or unit is not None:
             candidates.setdefault(channel, []).append(name)
     recognized = {}
     for channel, several in candidates.items():
@@ -164,8 +146,6 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
         return config.time_unit
     if channel.startswith("force"):
         return config.force_unit
-    if channel in FURTHER:
-        return next((unit for kind, unit in config.units.items() if kind == KINDS[channel]), None)
     # Not config.angles.get(channel): the keys are literals, and `channel` may be any channel.
     unit = next((unit for angle, unit in config.angles.items() if angle == channel), None)
     if unit is None or unit in UNITS[KINDS[channel]]:
@@ -198,8 +178,6 @@ def converted(
     for channel, values in channels.items():
         kind = KINDS[channel]
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
-        if unit == DYNAMIXEL_UNIT or unit in MODELS:
-            values = _signed(values, REGISTER_BITS[kind])
         if kind == "angle":
             values = values - config.angle_zero
         result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
@@ -211,7 +189,7 @@ def converted(
         result["force_x"], result["force_y"] = turned(
             result["force_x"], result["force_y"], config.force
         )
-    if "torque_x" in result:
+    if {"torque_x", "torque_y"} <= result.keys():
         result["torque_x"], result["torque_y"] = turned(
             result["torque_x"], result["torque_y"], config.force
         )
@@ -221,12 +199,6 @@ def converted(
     for channel in {"force_z", "torque"} & result.keys():
         result[channel] = side * result[channel]
     return {FURTHER.get(channel, channel): values for channel, values in result.items()}
-
-
-def _signed(values: Float[np.ndarray, "rows"], bits: int) -> Float[np.ndarray, "rows"]:
-    """Return register values as signed numbers; ROBOTIS's `dynamixel-sdk` reads unsigned ones."""
-    size = 2.0**bits
-    return np.where(values >= size / 2, values - size, values)
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:

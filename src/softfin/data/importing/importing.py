@@ -7,7 +7,7 @@ import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
 from softfin.core.configuration import Configuration
-from softfin.data.importing.names import KINDS, RESERVED, UNITS, Channel, FurtherChannel
+from softfin.data.importing.names import KINDS, UNITS, Channel, FurtherChannel
 
 NO_COLUMN = "-"
 """Value of --columns for a channel that is not in the file, even if one of the column names looks
@@ -22,11 +22,6 @@ SignedChannel = Literal["command_angle", "angle", "velocity"]
 
 SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 """Channels whose sign can be wrong; a commanded velocity is a magnitude."""
-
-FurtherKind = Literal["torque", "current", "voltage"]
-
-FURTHER_KINDS: tuple[FurtherKind, ...] = get_args(FurtherKind)
-"""Quantities that only the further channels of a log have."""
 
 Topic = Literal["command", "joint", "wrench", "current"]
 
@@ -52,19 +47,12 @@ class ImportConfig(Configuration):
     """Unit of the time column (default: from the column name, or s)."""
     angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
     """Unit of all angle channels, e.g. ``deg``, or of individual ones, e.g.
-    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. ``dynamixel`` means
-    the registers of the X series (default: from the column names, or rad)."""
+    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. (default: from the
+    column names, or rad)."""
     angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
-    """Value of the angle columns at angle 0, in their unit, e.g. 2048."""
+    """Value of the angle columns at angle 0, in their unit, e.g. 180."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
-    units: dict[FurtherKind, str] = pydantic.Field(default_factory=dict)
-    """Units of further channels, e.g. ``torque=mNm,current=mA``, or, for the registers of a
-    Dynamixel, ``voltage=dynamixel,current=XM430-W350``, its model (default: from the column names;
-    without a unit, these columns are not read)."""
-    keep: dict[str, str] = pydantic.Field(default_factory=dict)
-    """Columns, or topics of numbers, to keep as channels, e.g. ``temperature_c=Temp`` or ``Temp``.
-    Torque, force z, current and voltage are kept anyway if their units are known."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y.
     Torque and force z follow."""
@@ -85,9 +73,7 @@ class ImportConfig(Configuration):
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
     """Shortest piece to keep as a log [s]; the paper's networks need a window of 1 s."""
 
-    @pydantic.field_validator(
-        "columns", "topics", "angles", "units", "keep", "negate", mode="before"
-    )
+    @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
     @classmethod
     def _parsed(cls, value: Any, info: Any) -> Any:
         if info.field_name == "negate":
@@ -102,8 +88,6 @@ class ImportConfig(Configuration):
         for part in next(csv.reader([value], skipinitialspace=True), []):
             if part.strip():
                 name, _, text = map(str.strip, part.partition("="))
-                if info.field_name == "keep":
-                    text = text or name
                 if not text:
                     raise ValueError(f"{name!r} has no value; use NAME=VALUE,NAME=VALUE")
                 pairs[name] = text
@@ -121,24 +105,6 @@ class ImportConfig(Configuration):
                     f"{unit!r} is not a unit of {channel}; must be one of {', '.join(units)}; for "
                     "different units, use e.g. angle=deg,velocity=rpm"
                 )
-        return value
-
-    @pydantic.field_validator("units")
-    @classmethod
-    def _of_kind(cls, value: dict[FurtherKind, str]) -> dict[FurtherKind, str]:
-        for kind, unit in value.items():
-            if unit not in UNITS[kind]:
-                raise ValueError(
-                    f"{unit!r} is not a unit of {kind}; must be one of {', '.join(UNITS[kind])}"
-                )
-        return value
-
-    @pydantic.field_validator("keep")
-    @classmethod
-    def _of_other_names(cls, value: dict[str, str]) -> dict[str, str]:
-        for name in value:
-            if name in RESERVED:
-                raise ValueError(f"{name!r} is a column of every log; use another name for it")
         return value
 
 

@@ -9,14 +9,13 @@ import math
 import re
 from typing import Literal, get_args
 
-from softfin.core.dynamixel import MODELS, TICKS_PER_TURN, VELOCITY_UNIT_RPM, VOLTAGE_UNIT_V
-from softfin.core.log_channels import KNOWN_CHANNELS, LOG_COLUMNS
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 
 LogChannel = Literal[
     "time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"
 ]
 
-FurtherChannel = Literal["force_z", "torque_x", "torque_y", "torque", "current", "voltage"]
+FurtherChannel = Literal["force_z", "torque_x", "torque_y", "torque", "current"]
 
 Channel = Literal[LogChannel, FurtherChannel]
 
@@ -24,10 +23,9 @@ CHANNELS: tuple[str, ...] = get_args(LogChannel)
 """Channels of every log. A recording may lack the velocity; it may also lack the time and the
 commanded velocity if options set them."""
 
-RESERVED = (*LOG_COLUMNS, *CHANNELS)
-"""Names that a further channel must not have."""
-
-FURTHER: dict[str, str] = dict(zip(get_args(FurtherChannel), KNOWN_CHANNELS, strict=True))
+FURTHER: dict[str, str] = dict(
+    zip(get_args(FurtherChannel), (*LOAD_CHANNELS, CURRENT_CHANNEL), strict=True)
+)
 """Names in a log of the channels that it may also contain."""
 
 KINDS: dict[str, str] = {
@@ -38,10 +36,6 @@ KINDS: dict[str, str] = {
 RPM = 2 * math.pi / 60
 """One revolution per minute [rad/s]."""
 
-DYNAMIXEL_UNIT = "dynamixel"
-"""Unit of raw register values of a Dynamixel of the X series. The unit of the current depends on
-the model, so the model's name is used as its unit."""
-
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "angle": {
@@ -49,7 +43,6 @@ UNITS: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "deg": math.pi / 180,
         "turn": 2 * math.pi,
-        DYNAMIXEL_UNIT: 2 * math.pi / TICKS_PER_TURN,
     },
     "velocity": {
         "rad/s": 1.0,
@@ -57,7 +50,6 @@ UNITS: dict[str, dict[str, float]] = {
         "deg/s": math.pi / 180,
         "turn/s": 2 * math.pi,
         "rpm": RPM,
-        DYNAMIXEL_UNIT: VELOCITY_UNIT_RPM * RPM,
     },
     "force": {
         "N": 1.0,
@@ -68,12 +60,7 @@ UNITS: dict[str, dict[str, float]] = {
         "lbf": 4.4482216152605,
     },
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
-    "current": {
-        "A": 1.0,
-        "mA": 1e-3,
-        **{name: model.current_unit_a for name, model in MODELS.items()},
-    },
-    "voltage": {"V": 1.0, "mV": 1e-3, DYNAMIXEL_UNIT: VOLTAGE_UNIT_V},
+    "current": {"A": 1.0, "mA": 1e-3},
 }
 """Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
 
@@ -102,12 +89,9 @@ SPELLINGS = {
     "Ncm": "ncm n/cm",
     "A": "a amp amps ampere amperes",
     "mA": "ma milliamp milliamps milliampere milliamperes",
-    "V": "v volt volts",
-    "mV": "mv millivolt millivolts",
 }
 """Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
-angle, a slash and those of a second. A Dynamixel's units have none, because a column of counts may
-be that of any encoder: options set them."""
+angle, a slash and those of a second."""
 
 COMMAND_WORDS = {
     "command",
@@ -151,13 +135,9 @@ PHRASES = {
     "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
-    "force_z": ["force z", "fz", "f z"],
-    "torque_x": ["torque x", "moment x", "tx", "mx"],
-    "torque_y": ["torque y", "moment y", "ty", "my"],
     # The z axis is the shaft.
     "torque": ["torque", "torque z", "moment z", "tz", "mz"],
     "current": ["current"],
-    "voltage": ["voltage", "supply voltage", "bus voltage", "battery voltage", "input voltage"],
 }
 """Names of each channel; their words may have any order. With one of `COMMAND_WORDS`, a name means
 the commanded channel."""

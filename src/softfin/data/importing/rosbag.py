@@ -12,12 +12,12 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError, one_line
-from softfin.core.log_channels import CURRENT_CHANNEL
+from softfin.core.log_channels import CURRENT_CHANNEL, LOG_COLUMNS
 from softfin.core.printable import printable
 from softfin.data.importing.clocks import Channels, Part, Recording, Track
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
-from softfin.data.importing.names import CHANNELS, RESERVED, Channel
+from softfin.data.importing.names import CHANNELS, Channel
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity, counted
 from softfin.storage.bag.messages import (
@@ -111,17 +111,17 @@ def _numbers(reader: Reader, topic: str) -> list[Connection]:
 
 def _channel_topics(reader: Reader, config: ImportConfig) -> dict[str, str]:
     """Return the topics of other channels: the current and those of softfin's own bags, if there
-    are any, and those to keep."""
+    are any."""
     topics = {}
     # Every recording has a topic for the current, but not every drive measures it.
     if "current" in config.topics or _numbers(reader, CURRENT):
         topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
     for connection in reader.connections:
         channel = connection.topic.removeprefix(CHANNEL_TOPICS)
-        is_own = channel not in (connection.topic, *RESERVED)
+        is_own = channel not in (connection.topic, *LOG_COLUMNS)
         if is_own and _numbers(reader, connection.topic):
             topics[channel] = connection.topic
-    return topics | config.keep
+    return topics
 
 
 def _read_channel(
@@ -131,7 +131,7 @@ def _read_channel(
     if not connections:
         raise LogError(
             f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
-            "set another one with --keep or --topics"
+            "set another one with --topics"
         )
     logged = []
     values = []

@@ -18,10 +18,9 @@ from softfin.data.importing.columns import (
     choose_columns,
     converted,
     describe_columns,
-    without_single_torque,
 )
-from softfin.data.importing.importing import FURTHER_KINDS, ImportConfig
-from softfin.data.importing.names import CHANNELS, FURTHER, KINDS, UNITS, read_name
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.names import CHANNELS, FURTHER
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
@@ -35,7 +34,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         found = choose_columns(names, config, str(path))
         needed = [column.name for channel, column in found.items() if channel not in FURTHER]
         further = [column.name for channel, column in found.items() if channel in FURTHER]
-        table = _read_csv(path, names, delimiter, needed, [*further, *config.keep.values()])
+        table = _read_csv(path, names, delimiter, needed, further)
     else:
         table = read_parquet(path)
         names = table.schema.names
@@ -48,7 +47,6 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         # A column of text with the name of a further channel is some other thing.
         if channel in found and not _is_numeric(table.column(found[channel].name).type):
             del found[channel]
-    found = without_single_torque(found)
     numbers = {}
     units = {}
     for channel, column in found.items():
@@ -58,13 +56,11 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
-    keep = config.keep
-    if path.suffix.lower() not in CSV:
-        keep = _own_channels(table.schema, found, config) | keep
-    for kept, column_name in keep.items():
-        values[kept] = _numbers(table.column(column_name), column_name, path)
+    own = [] if path.suffix.lower() in CSV else _own_channels(table.schema, found)
+    for channel in own:
+        values[channel] = _numbers(table.column(channel), channel, path)
     whole = Track(time, values)
-    recording = Recording(name, part, (whole,), tuple(_notes(name, names, found, keep, config)))
+    recording = Recording(name, part, (whole,), tuple(_notes(name, names, found, own, config)))
     return _split_rows(recording, config.rows_per_log or rows)
 
 
@@ -84,28 +80,20 @@ def _split_rows(recording: Recording, length: int) -> list[Recording]:
     return recordings
 
 
-def _own_channels(
-    schema: pa.Schema, found: dict[str, Column], config: ImportConfig
-) -> dict[str, str]:
-    """Return the channels of softfin's own log that are not among the columns found or kept: its
-    other numeric columns, under their own names."""
+def _own_channels(schema: pa.Schema, found: dict[str, Column]) -> list[str]:
+    """Return the other numeric columns of softfin's own log."""
     if not set(LOG_COLUMNS) <= set(schema.names):
-        return {}
-    read = {*(column.name for column in found.values()), *config.keep.values()}
+        return []
     # A column with a name of softfin's own that was not found is not meant to be read.
-    settled = {*read, *OWN_NAMES, *CHANNELS}
-    return {
-        field.name: field.name
-        for field in schema
-        if field.name not in settled and _is_numeric(field.type)
-    }
+    settled = {*(column.name for column in found.values()), *OWN_NAMES, *CHANNELS}
+    return [field.name for field in schema if field.name not in settled and _is_numeric(field.type)]
 
 
 def _notes(
     name: str,
     names: list[str],
     found: dict[str, Column],
-    keep: dict[str, str],
+    own: list[str],
     config: ImportConfig,
 ) -> list[Issue]:
     """Note which columns and units were used, unless the names are softfin's own, and which options
@@ -130,22 +118,11 @@ def _notes(
             f"command_velocity = {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
-    read = {*(column.name for column in found.values()), *keep.values()}
+    read = {*(column.name for column in found.values()), *own}
     if unused := [column for column in names if column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
-        notes.append(Issue("note", "unread columns", name, text, _unit_fix(unused)))
+        notes.append(Issue("note", "unread columns", name, text))
     return notes if "velocity" in found else [*notes, derived_velocity(name)]
-
-
-def _unit_fix(names: list[str]) -> str:
-    """Return the option that sets the unit of the first column that would be read if it had one."""
-    for name in names:
-        channel, unit = read_name(name) or ("time", None)
-        kind = KINDS[channel]
-        if kind in FURTHER_KINDS and unit is None:
-            units = ", ".join(UNITS[kind])
-            return f"to read {name!r}, set its unit with --units {kind}=UNIT, one of {units}"
-    return ""
 
 
 def derived_velocity(name: str) -> Issue:

@@ -1,8 +1,7 @@
-"""Follow a growing bag: each byte is read once, only a time window is kept in memory, and damage is
-reported in one line.
+"""Follow a growing bag: each byte is read once, only the latest messages of each topic are kept,
+and damage is reported in one line.
 
-The file is opened read-only and closed after each poll, so the recorder is not disturbed and the
-disk can be unmounted.
+The file is opened read-only and closed after each poll, so the recorder is not disturbed.
 """
 
 import contextlib
@@ -10,20 +9,33 @@ import io
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections import deque
 from pathlib import Path
+from typing import TypeAlias
 
-from mcap.records import Channel, Footer, Message, Schema
+import numpy as np
+from mcap.records import Channel, Footer, Message
 
 from softfin.core.errors import ArtifactError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import MAX_CHARACTERS, ROLES, Summary, Trace, summarize
-from softfin.storage.bag.recovery import MAGIC, RawRecord, decode_bag_record, read_records
+from softfin.core.quantities import TICK_S
+from softfin.storage.bag import messages
+from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, type_store
+from softfin.storage.bag.recovery import MAGIC, BagRecord, decode_bag_record, read_records
+from softfin.storage.bag.zero import parse_zero, zeros_at
 from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 4 * 2**20
 """Maximum number of bytes read per poll, so that reading an old recording shows progress."""
+
+KEPT_ROWS = 2500
+"""Number of messages kept per topic: 25 s at 100 Hz."""
+
+SHOWN_EVENTS = 8
+MAX_CHARACTERS = 300
+"""Maximum number of characters of an event or a path that are shown."""
 
 SILENT_RECORDING_S = 3.0
 """Time without a new row after which a recording counts as silent [s]; a recorder writes twice per
@@ -33,207 +45,193 @@ PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
 """Patterns for a folder of bags, of bag folders, or of runs containing them; no deeper, so that the
 monitor does not search entire disks."""
 
+ROLES = {
+    "joint": messages.JOINT,
+    "wrench": messages.WRENCH,
+    "command": messages.COMMAND,
+    "reference": messages.REFERENCE,
+    "current": messages.CURRENT,
+    "event": messages.EVENTS,
+}
+"""Topic for each role on the page."""
+
+Row: TypeAlias = tuple[float | str, ...]
+"""Time since the recording's first message [s], and the values of a message."""
+
+
+class Trace:
+    """The latest messages of one topic, which are decoded only when they are shown."""
+
+    def __init__(self, topic: str) -> None:
+        self._type = TYPES[topic]
+        self.count = 0
+        self.missing = 0
+        """Number of rows missing at 100 Hz."""
+        self.time_s = 0.0
+        """Time of the latest message since the recording's first one [s]."""
+        self._kept: deque[tuple[int, float, bytes]] = deque(maxlen=KEPT_ROWS)
+
+    def add(self, serial: int, time_s: float, data: bytes) -> None:
+        """Keep a message, which has a serial number among all messages."""
+        if self.count:
+            self.missing += max(round((time_s - self.time_s) / TICK_S) - 1, 0)
+        self.count += 1
+        self.time_s = time_s
+        self._kept.append((serial, time_s, data))
+
+    def rows(self, since: int) -> list[Row]:
+        """Return the messages after a serial number, without unreadable ones: time, then angle and
+        velocity, force (x, y) and torque about the shaft, a single number, or text."""
+        rows = []
+        for serial, time_s, data in self._kept:
+            # The generated decoder may raise any exception for damaged bytes.
+            with contextlib.suppress(Exception):
+                if serial > since:
+                    rows.append((time_s, *self._values(data)))
+        return rows
+
+    def _values(self, data: bytes) -> tuple[float | str, ...]:
+        message = type_store().deserialize_cdr(data, self._type)
+        if self._type == JOINT_STATE:
+            return float(message.position[0]), float(message.velocity[0])
+        if self._type == WRENCH_STAMPED:
+            wrench = message.wrench
+            return wrench.force.x, wrench.force.y, wrench.torque.z
+        value = message.data
+        return (printable(value, most=MAX_CHARACTERS) if isinstance(value, str) else value,)
+
 
 class Follower:
-    """The latest rows of a recording; call `poll` a few times per second."""
+    """The latest messages of a recording; call `poll` a few times per second."""
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        window_s: float = 22.0,
-        clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
-    ) -> None:
-        """Follow a bag, or the latest one in a folder; raises LogError if `path` is neither.
-
-        The last `window_s` seconds of each topic are kept.
-        """
+    def __init__(self, path: Path) -> None:
+        """Follow a bag, or the latest one in a folder; raises LogError if `path` is neither."""
         check_monitored(path)
-        self.path = path
-        self.follows_folder = path.is_dir()
-        """Whether to look for newer bags."""
-        self._window = window_s
-        self._clock = clock
-        self._wall = wall
-        self._serials = itertools.count(1)
+        self._path = path
+        self._bag = path
         self._number = 0
-        self._chosen_at = -float("inf")
-        self._bag: Path | None = None if self.follows_folder else path
+        self._looked_at = -float("inf")
+        self.serial = 0
+        """Serial number of the latest message."""
         self._restart()
 
     def _restart(self) -> None:
         """Reset to the state before the first read."""
         self._number += 1
-        self.traces = {role: Trace(role) for role in ROLES}
-        self._types: dict[int, str] = {}
-        self._channels: dict[int, tuple[Trace, str]] = {}
-        self._offset = self._size = self._damaged = self._start_ns = 0
-        self._identity: tuple[int, int] | None = None
+        self.traces = {role: Trace(topic) for role, topic in ROLES.items()}
+        self._channels: dict[int, Trace] = {}
+        self._offset = self._damaged = self._start_ns = 0
         self._problem: str | None = None
-        self._ended = self._broken = self._caught_up = False
-        self._grown_at: float | None = None
-        """Time of the latest rows that were not present at the first read [s]."""
+        self._ended = self._broken = False
+        self._grown_at = -float("inf")
+        """Time of the latest new messages [s]."""
 
     def poll(self) -> None:
         """Read what has been written since the last call."""
-        if self.follows_folder and self._clock() - self._chosen_at >= 1.0:
-            self._chosen_at = self._clock()
-            self._choose()
-        if self._bag is None or self._ended or self._broken:
-            return
-        self._problem = None
         try:
-            with self._bag.open("rb") as file:
-                self._read(file)
+            self._choose()
+            if not (self._ended or self._broken or self._bag.is_dir()):
+                self._problem = None
+                with self._bag.open("rb") as file:
+                    self._read(file)
         except OSError as error:
-            self._problem = (
-                f"{self._shown()}: cannot be read ({error.strerror or error}); trying again"
-            )
+            self._problem = f"cannot be read ({error.strerror or error}); trying again"
         except (LogError, ArtifactError) as error:
-            self._problem = f"{self._shown()}: {error}"
+            self._problem = str(error)
             self._broken = True
 
-    def summary(self) -> Summary:
-        """Summarize the recording as of the last poll."""
-        times = [rows[-1].time for role in ("joint", "wrench") if (rows := self.traces[role].rows)]
-        time_s = max(times, default=None)
-        # Recordings in simulated time may be ahead of the wall clock.
-        age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
-        return summarize(
-            self.traces,
-            path=self._shown(),
-            number=self._number,
-            state=self._state(age),
-            problem=self._problem,
-            size_bytes=self._size,
-            damaged=self._damaged,
-            age_s=age,
-            time_s=time_s,
-        )
+    def summary(self) -> JsonObject:
+        """Describe the recording as of the last poll."""
+        joint = self.traces["joint"]
+        wrench = self.traces["wrench"]
+        time_s = max(joint.time_s, wrench.time_s)
+        return {
+            "path": printable(str(self._bag), most=MAX_CHARACTERS),
+            "number": self._number,
+            "state": self._state(),
+            "problem": self._problem,
+            "time_s": time_s if self._start_ns else None,
+            "wall_s": self._start_ns * 1e-9 + time_s,
+            "rows": joint.count,
+            "missing": joint.missing,
+            "force_missing": wrench.missing,
+            "damaged": self._damaged,
+            "events": self.traces["event"].rows(0)[-SHOWN_EVENTS:],
+        }
+
+    def rows(self, since: int) -> dict[str, list[list[float | None]]]:
+        """Return time and values of the messages after a serial number by role; forces are relative
+        to the recorded zero, and invalid numbers None."""
+        parsed = [(time_s, parse_zero(text)) for time_s, text in self.traces["event"].rows(0)]
+        zeros = [(time_s, zero) for time_s, zero in parsed if zero is not None]
+        result = {}
+        for role in set(ROLES) - {"event"}:
+            values = np.array(self.traces[role].rows(since))
+            if role == "wrench" and len(values):
+                values[:, 1:3] -= zeros_at(zeros, values[:, 0])
+            result[role] = np.where(np.isfinite(values), values, None).tolist()
+        return result
 
     def _choose(self) -> None:
-        """Switch to the most recently written bag in the folder, if it is clearly newer than the
-        current one."""
-        times: dict[Path, float] = {}
-        for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
-            # A file may be renamed or removed in the meantime.
-            with contextlib.suppress(OSError):
-                if path.is_file() and not path.name.startswith("."):
-                    times[path] = path.stat().st_mtime
-        if not times:
+        """In a folder, switch to the most recently written bag unless the present one grows."""
+        now = time.monotonic()
+        if not self._path.is_dir() or now - self._looked_at < 1.0 or self._state() == "recording":
             return
-        newest = max(times, key=lambda path: (times[path], path.name))
-        # To avoid alternating between simultaneous recordings, the other one must have been written
-        # 1 s later.
-        if newest != self._bag and (
-            self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0
-        ):
+        self._looked_at = now
+        bags = itertools.chain.from_iterable(map(self._path.glob, PATTERNS))
+        newest = max(bags, key=lambda path: path.stat().st_mtime, default=self._bag)
+        if newest != self._bag:
             self._bag = newest
             self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
-        self._check_identity(os.fstat(file.fileno()))
-        if self._offset == 0 and not self._read_magic(file):
-            return
-        was_caught_up = self._caught_up
-        before = self._count()
-        end = self._offset + READ_BYTES
-        try:
-            for record in read_records(file, self._offset, self._size):
-                self._offset = record.end
-                self._take(record)
-                if self._ended or self._offset >= end:
-                    break
-            else:
-                self._caught_up = True
-        except LogError as error:
-            raise LogError(
-                f"damaged ({error}); to save the intact part, use softfin bag recover"
-            ) from None
-        finally:
-            self._settle()
-            if was_caught_up and self._count() > before:
-                self._grown_at = self._clock()
-
-    def _check_identity(self, status: os.stat_result) -> None:
-        """Start again if this is another file than at the last poll, or a shorter one."""
-        identity = (status.st_dev, status.st_ino)
-        is_other = self._identity is not None and identity != self._identity
-        is_shorter = self._identity is not None and status.st_size < self._offset
-        if is_other or is_shorter:
-            # Another file with the same name, e.g. after a copy or repair.
+        size = os.fstat(file.fileno()).st_size
+        if size < self._offset:
+            # Another file with the same name, e.g. after a repair.
             self._restart()
-        self._identity = identity
-        self._size = status.st_size
+        if self._offset == 0:
+            magic = file.read(len(MAGIC))
+            # A file that has just been created may still be shorter than the magic bytes.
+            if not MAGIC.startswith(magic):
+                raise LogError(
+                    "not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP"
+                )
+            if magic != MAGIC:
+                return
+            self._offset = len(MAGIC)
+        end = self._offset + READ_BYTES
+        for raw in read_records(file, self._offset, size):
+            self._offset = raw.end
+            try:
+                for record in decode_bag_record(raw):
+                    self._take(record)
+            except LogError:
+                self._damaged += 1
+            if self._offset >= end:
+                return
 
-    def _read_magic(self, file: io.BufferedIOBase) -> bool:
-        """Read the magic bytes; return False if the file does not contain all of them yet."""
-        magic = file.read(len(MAGIC))
-        # A file that has just been created may still be shorter than the magic bytes.
-        if not MAGIC.startswith(magic):
-            raise LogError("not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP")
-        if magic != MAGIC:
-            self._caught_up = True
-            return False
-        self._offset = len(MAGIC)
-        return True
+    def _take(self, record: BagRecord) -> None:
+        if isinstance(record, Message):
+            trace = self._channels.get(record.channel_id)
+            if trace is not None:
+                self._start_ns = self._start_ns or record.log_time
+                self.serial += 1
+                trace.add(self.serial, (record.log_time - self._start_ns) / 1e9, record.data)
+                self._grown_at = time.monotonic()
+        elif isinstance(record, Channel):
+            check_file_format("recording", record.metadata, "recording", ArtifactError)
+            for role, topic in ROLES.items():
+                if record.topic == topic:
+                    self._channels[record.id] = self.traces[role]
+        elif isinstance(record, Footer):
+            self._ended = True
 
-    def _settle(self) -> None:
-        """Decode the rows within the window."""
-        # Use the joint's time if there is one, so that wrong timestamps in another topic do not
-        # empty all traces.
-        lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
-        newest = next((last for last in lasts if last is not None), 0.0)
-        for role, trace in self.traces.items():
-            since = -float("inf") if role == "event" else newest - self._window
-            trace.settle(since, self._serials)
-        self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
-
-    def _count(self) -> int:
-        return sum(trace.count for trace in self.traces.values())
-
-    def _take(self, raw: RawRecord) -> None:
-        """Process a record; damaged ones are counted and skipped."""
-        try:
-            records = decode_bag_record(raw)
-        except LogError:
-            self._damaged += 1
-            return
-        roles = {topic: role for role, topic in ROLES.items()}
-        for record in records:
-            if isinstance(record, Message):
-                if record.channel_id in self._channels:
-                    trace, type_name = self._channels[record.channel_id]
-                    self._start_ns = self._start_ns or record.log_time
-                    trace.offer((record.log_time - self._start_ns) / 1e9, type_name, record.data)
-            elif isinstance(record, Schema):
-                self._types[record.id] = record.name
-            elif isinstance(record, Channel):
-                check_file_format("recording", record.metadata, "recording", ArtifactError)
-                if record.topic in roles:
-                    type_name = (
-                        self._types.get(record.schema_id, "")
-                        if record.message_encoding == "cdr"
-                        else ""
-                    )
-                    self._channels[record.id] = (self.traces[roles[record.topic]], type_name)
-            elif isinstance(record, Footer):
-                self._ended = True
-
-    def _state(self, age: float | None) -> str:
+    def _state(self) -> str:
         if self._broken:
             return "damaged"
         if self._ended:
             return "ended"
-        if not self._caught_up and self._size:
-            return "reading"
-        if age is None:
+        if self._start_ns == 0:
             return "waiting"
-        # The clocks of this computer and the recorder may differ, so once growth has been observed,
-        # use its time.
-        quiet = age if self._grown_at is None else self._clock() - self._grown_at
-        return "recording" if abs(quiet) < SILENT_RECORDING_S else "silent"
-
-    def _shown(self) -> str:
-        return printable(str(self._bag or self.path), most=MAX_CHARACTERS)
+        is_growing = time.monotonic() - self._grown_at < SILENT_RECORDING_S
+        return "recording" if is_growing else "silent"

@@ -1,4 +1,5 @@
-"""View of a recording as a web page on localhost. Read-only: no request changes or opens anything.
+"""View of a recording as a web page on this computer. Read-only: no request changes or opens
+anything.
 
 The only two addresses, `/` and `/data?since=N`, are generated in memory. Request paths are never
 looked up on disk.
@@ -6,21 +7,21 @@ looked up on disk.
 
 import contextlib
 import importlib.resources
-import ipaddress
 import json
 import re
-import socket
 import socketserver
+import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
-from urllib.parse import urlsplit
+from pathlib import Path
+from typing import Annotated
 
 from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
+from softfin.core.option_types import RECORDING, PathLike
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import STATES, WINDOW_S, TraceRow, counts, finite
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -34,6 +35,22 @@ HEADERS = {
 page."""
 
 
+def monitor(recording: Annotated[PathLike, RECORDING], *, port: int = 8080) -> None:
+    """Watch a recording in progress on a web page. Ctrl-C ends the page, not the recording.
+
+    Args:
+        recording: Bag (.mcap) to watch, or a folder of bags (the newest is watched).
+        port: Port of the page on this computer; 0 for any free port.
+    """
+    # Ending a page is not a failure: exit code 0.
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        Server(Follower(Path(recording)), port) as server,
+    ):
+        sys.stderr.write(f"{server.address} shows the recording; press Ctrl-C to end\n")
+        server.serve_forever()
+
+
 class Server(socketserver.ThreadingTCPServer):
     """Server for a recording, which is read only while a page requests data; raises
     ConfigurationError if it cannot listen."""
@@ -43,25 +60,18 @@ class Server(socketserver.ThreadingTCPServer):
     """Maximum number of pending connections; if it is too small, a burst of clients is delayed by
     one second."""
 
-    def __init__(self, follower: Follower, host: str, port: int) -> None:
-        self.host = host
+    def __init__(self, follower: Follower, port: int) -> None:
         self._follower = follower
         self._reading = threading.Lock()
         """Held by the request that is reading the recording."""
-        page = (
-            importlib.resources.files("softfin.rig.monitor")
-            .joinpath("page.html")
-            .read_text("utf-8")
-        )
-        self.page = with_canvas(page).encode()
+        page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html")
+        self.page = with_canvas(page.read_text("utf-8")).encode()
         try:
-            self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-            super().__init__((host, port), _Handler)
-        except (OSError, OverflowError, UnicodeError) as error:
+            super().__init__((LOOPBACK, port), _Handler)
+        except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ConfigurationError(
-                f"cannot listen on {host} port {port} ({reason}); use --port 0 for any free port, "
-                f"or --host {LOOPBACK} for this computer"
+                f"cannot listen on port {port} ({reason}); use --port 0 for any free port"
             ) from None
 
     def handle_error(self, request: object, client_address: object) -> None:
@@ -70,34 +80,20 @@ class Server(socketserver.ThreadingTCPServer):
     @property
     def address(self) -> str:
         """Address of the page for a browser."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.server_address[1]}/"
+        return f"http://{LOOPBACK}:{self.server_address[1]}/"
 
     def data(self, since: int) -> bytes:
         """Return the rows with serial numbers above `since`, the summary, and the value of `since`
         for the next request, as JSON."""
         with self._reading:
             self._follower.poll()
-            summary = self._follower.summary()
-            new_rows = {}
-            for role, trace in self._follower.traces.items():
-                if role != "event":
-                    new_rows[role] = [
-                        trace.less_zero(row) for row in trace.rows if row.serial > since
-                    ]
-        latest = since
-        plain_rows = {}
-        for role, rows in new_rows.items():
-            latest = max([latest, *(row.serial for row in rows)])
-            plain_rows[role] = [_plain_row(row) for row in rows]
-        texts = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
-        answer = {"next": latest, "rows": plain_rows, "summary": summary | texts}
+            answer = {
+                "summary": self._follower.summary(),
+                "rows": self._follower.rows(since),
+                "next": self._follower.serial,
+            }
         # Browsers cannot parse NaN in JSON.
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _plain_row(row: TraceRow) -> list[float | None]:
-    return [finite(value) for value in (row.time, *row.values)]
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -111,42 +107,24 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Return the page or the data."""
-        path, _, query = self.path.partition("?")
-        if not _is_known(self.headers.get("Host", ""), self.server.host):
+        if self.headers.get("Host", "").split(":")[0] not in (LOOPBACK, "localhost"):
             # DNS rebinding: otherwise any web page could read ours through a host name that
             # resolves to this computer.
             self.send_error(HTTPStatus.FORBIDDEN, "unknown host name")
         elif self.path == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")
-        elif path != "/data":
-            self.send_error(HTTPStatus.NOT_FOUND, "page not found")
-        elif match := re.fullmatch(r"(?:since=([0-9]{1,15}))?", query):
-            self._answer(self.server.data(int(match[1] or 0)), "application/json")
+        elif match := re.fullmatch(r"/data\?since=([0-9]{1,15})", self.path):
+            self._answer(self.server.data(int(match[1])), "application/json")
         else:
-            self.send_error(HTTPStatus.BAD_REQUEST, "since must be an integer")
-
-    do_HEAD = do_GET
+            self.send_error(HTTPStatus.NOT_FOUND, "page not found")
 
     def log_message(self, format: str, *args: object) -> None:
         """Log nothing."""
 
     def _answer(self, body: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
-        for name, value in {
-            **HEADERS,
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-        }.items():
+        headers = HEADERS | {"Content-Type": kind, "Content-Length": str(len(body))}
+        for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
-        if self.command == "GET":
-            self.wfile.write(body)
-
-
-def _is_known(host: str, own: str) -> bool:
-    """Return whether a Host header is an IP address or one of our names; its port may be that of a
-    tunnel."""
-    with contextlib.suppress(ValueError):
-        name = urlsplit(f"//{host.strip()}").hostname or ""
-        return name in ("localhost", own.lower()) or bool(ipaddress.ip_address(name))
-    return False
+        self.wfile.write(body)

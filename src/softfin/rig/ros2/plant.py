@@ -31,8 +31,6 @@ from softfin.rig.ros2.connection import (
     read_joint,
     read_wrench,
 )
-from softfin.rig.ros2.simulated import SimulatedTransport
-from softfin.rig.simulated_clock import SimulatedClock
 from softfin.storage.bag.messages import (
     JOINT_STATE,
     SECOND_NS,
@@ -54,16 +52,9 @@ LOCK_S = 0.02
 hangs."""
 
 
-def open_transport(
-    config: TransportConfig, types: Typestore | None = None, clock: Clock = REAL
-) -> Transport:
+def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
     """Open the configured transport (auto: rclpy if installed, otherwise DDS); raises RigError if
-    it is not installed.
-
-    On a simulated clock, topics are within this process, regardless of the configuration.
-    """
-    if isinstance(clock, SimulatedClock):
-        return SimulatedTransport(clock)
+    it is not installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(

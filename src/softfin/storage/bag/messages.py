@@ -174,11 +174,7 @@ def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> 
 
 
 class BagWriter:
-    """Writes an MCAP file to a stream, message by message.
-
-    Chunks are not compressed: if a power cut truncates a chunk, every complete message in it can
-    still be read.
-    """
+    """Writes an MCAP file to a stream, message by message."""
 
     def __init__(self, stream: object, channel_topics: Sequence[str] = ()) -> None:
         """`channel_topics` are further topics, with one number in each message."""
@@ -193,7 +189,7 @@ class BagWriter:
         }
         # MCAP's profile for ROS 2 requires this entry; if empty, ROS 2's default quality of service
         # applies.
-        quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
+        quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"])}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
             for topic, kind in self._types.items()

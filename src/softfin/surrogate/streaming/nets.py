@@ -6,7 +6,7 @@ change sign (odd quantities), while the x force and speeds do not (even quantiti
 core of both networks has this symmetry by construction.
 """
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -132,17 +132,12 @@ def products(net: eqx.Module) -> int:
 
 
 class DriveNetConfig(Configuration):
-    """Size of the drive network, and its structure, which is fixed but stored with the network."""
+    """Size of the drive network."""
 
     units: PositiveInt = 8
     """Size of the even memory and of the odd memory."""
     hidden: PositiveInt = 16
     """Number of units in the layer between memory and output."""
-    mirror: Literal[True] = True
-    """Whether the drive behaves the same in both directions."""
-    profile: Literal[True] = True
-    """Whether the network predicts only the deviation from the trapezoidal profile: the effects of
-    load, servo and backlash."""
 
 
 class FollowingState(NamedTuple):
@@ -201,7 +196,7 @@ class FollowingNet(eqx.Module):
 
 
 class ForceNetConfig(Configuration):
-    """Size of the force network, and its structure, which is fixed but stored with the network."""
+    """Size of the force network."""
 
     units: PositiveInt = 16
     """Size of the even memory and of the odd memory."""
@@ -210,15 +205,6 @@ class ForceNetConfig(Configuration):
     wake: int = Field(default=4, ge=0, le=64)
     """Number of wake vectors, which are fixed in the tank's axes. Their initial time constants are
     0.05 to 1.5 s."""
-    mirror: Literal[True] = True
-    """Whether mirrored motion produces a mirrored force."""
-    turning: Literal[True] = True
-    """Whether the force rotates with the fin, as in a tank without a preferred direction."""
-    quasi_steady: Literal[True] = True
-    """Whether an added-mass and drag force with fitted coefficients is added to the network's
-    output."""
-    heteroscedastic: Literal[False] = False
-    """Whether the network also predicts the variance of the readings."""
 
 
 class ForceState(NamedTuple):

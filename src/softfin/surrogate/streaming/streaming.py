@@ -149,14 +149,6 @@ class StreamingSurrogate(eqx.Module):
         )
         return StreamingState(state.tick + ticks, after), reading
 
-    def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
-        """Return one member as an ensemble of size 1; `index` may be a traced value."""
-        picked = jax.tree.map(lambda x: x[index][None], (self.members, self.rest))
-        alone: StreamingSurrogate = eqx.tree_at(
-            lambda ensemble: (ensemble.members, ensemble.rest), self, picked
-        )
-        return alone
-
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Return the distance of the recent motion from the training data; 1 in 1000 training
         samples exceeds 1."""

@@ -90,7 +90,7 @@ class Calibration:
             _write_yaml(folder / "tank.yaml", self.tank, "The fitted tank.")
             head = "How the logs differ from the readings of that tank."
             _write_yaml(folder / "recording.yaml", self.recording, head)
-            save_figure(calibration_figure(self.test, modelled, unseen), folder, "calibration")
+            save_figure(calibration_figure(self.test, modelled, unseen), folder / "calibration.png")
             extra_files(folder)
 
         artifacts.write_folder(out, write, overwrite)

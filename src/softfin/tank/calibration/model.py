@@ -10,20 +10,19 @@ import copy
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant, roll
+from softfin.core.plant import Plant, State, roll
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import RATE_HZ, Command, Limits, Log
+from softfin.core.quantities import RATE_HZ, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
@@ -135,6 +134,19 @@ def material(
     return train, test, {"data_hash": dataset.data_hash}
 
 
+class _Narrowed(eqx.Module):
+    """A plant with narrower limits."""
+
+    plant: Plant
+    limits: Limits = eqx.field(static=True)
+
+    def init(self, key: PRNGKeyArray) -> State:
+        return self.plant.init(key)
+
+    def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
+        return self.plant.advance(state, command, ticks)
+
+
 def _of_plant(
     plant: Plant, config: CalibrateConfig, seed: int
 ) -> tuple[list[Log], list[Log], JsonObject]:
@@ -147,8 +159,7 @@ def _of_plant(
                 f"{limits.velocity_max:g} rad/s; use a range within these limits, lower value first"
             )
         limits = limits._replace(velocity_min=low, velocity_max=min(high, limits.velocity_max))
-    # The same plant with narrower limits; the original is not changed.
-    within = cast(Plant, SimpleNamespace(init=plant.init, advance=plant.advance, limits=limits))
+    within = _Narrowed(plant, limits)
 
     def excited(part: str, count: int) -> list[Log]:
         keys = [named_key(seed, f"calibrate/{part}/{index}") for index in range(count)]
@@ -159,7 +170,7 @@ def _of_plant(
 
     train = excited("train", config.segments)
     test = excited("test", config.test_segments)
-    return train, test, {"plant": identity(plant, computed=True)}
+    return train, test, {"plant": identity(plant)}
 
 
 Errors = Callable[

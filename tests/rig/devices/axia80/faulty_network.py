@@ -5,7 +5,7 @@ import random
 from collections import deque
 from collections.abc import Iterator
 
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
+from softfin.emulation.axia80 import EmulatedAxia80
 
 
 class FaultyNetwork:

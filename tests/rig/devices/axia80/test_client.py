@@ -3,8 +3,8 @@ import time
 
 import pytest
 
-from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.axia80.rdt import RdtCommand, RdtRecord, encode_record
 from softfin.rig.devices.axia80.stream import RdtClient
 from tests.patience import HANG_S
@@ -17,7 +17,7 @@ class Sensor:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.settimeout(HANG_S)
         self.socket.bind(("127.0.0.1", 0))
-        self.client = RdtClient("127.0.0.1", self.socket.getsockname()[1], REAL)
+        self.client = RdtClient("127.0.0.1", self.socket.getsockname()[1], COMPUTER)
         self.client.send(RdtCommand.START)
         self.asked, self.address = self.socket.recvfrom(100)
 
@@ -79,7 +79,7 @@ def test_a_record_is_stamped_no_earlier_than_it_was_sent_and_no_later_than_it_wa
 @pytest.mark.parametrize("host", ["no such host", "192.168.1.1.1", "a" * 300])
 def test_an_address_that_cannot_be_is_an_error_and_leaves_nothing_open(host):
     with pytest.raises(DeviceError, match=r"cannot be reached .*check its address"):
-        RdtClient(host, 49152, REAL)
+        RdtClient(host, 49152, COMPUTER)
 
 
 def test_a_closed_socket_sends_nothing_and_closes_again(sensor):

@@ -7,15 +7,14 @@ import threading
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.devices.axia80 import pages
-from softfin.rig.devices.axia80.emulated_sensor import sensor_pages, serve_pages
+from softfin.emulation.axia80 import sensor_pages, serve_pages
+from softfin.rig import web_page
 from softfin.rig.devices.axia80.pages import (
-    MAX_PAGE_BYTES,
     SETTINGS,
-    fetch_page,
     parse_settings,
     read_settings,
 )
+from softfin.rig.web_page import MAX_PAGE_BYTES, fetch_page
 from tests.patience import HANG_S
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
@@ -218,7 +217,7 @@ def test_a_page_that_is_too_long_is_not_read_to_its_end(length):
     "chunks", [(), (b"HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\n", b"<netft>")]
 )
 def test_a_page_that_never_ends_is_given_up_in_time(chunks, monkeypatch):
-    monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(web_page, "PAGE_TIMEOUT_S", 0.3)
     with answering(*chunks) as port, pytest.raises(DeviceError, match=r"no response within 0\.3 s"):
         fetch_page("127.0.0.1", port, SETTINGS)
 
@@ -227,6 +226,6 @@ def test_a_page_that_never_ends_is_given_up_in_time(chunks, monkeypatch):
     "answer", [b"", b"\x00\x01\x02\r\n\r\n", b"HTTP/1.1 abc\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"]
 )
 def test_what_is_not_http_is_an_error_and_no_traceback(answer, monkeypatch):
-    monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(web_page, "PAGE_TIMEOUT_S", 0.3)
     with answering(answer) as port, pytest.raises(DeviceError, match=r"cannot read"):
         fetch_page("127.0.0.1", port, SETTINGS)

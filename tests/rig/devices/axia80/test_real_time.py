@@ -4,12 +4,14 @@ import contextlib
 
 import pytest
 
+from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.rig import streamed_sensor
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
 from softfin.rig.devices.axia80.sensor import axia80_sensor
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
+
+pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture(autouse=True)

@@ -5,15 +5,15 @@ import re
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig import simulated_network
+from softfin.emulation import network as simulated_network
+from softfin.emulation.axia80 import EmulatedAxia80
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import FinMotion
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
 from softfin.rig.devices.axia80.rdt import BUSY, OVER_RANGE, RdtCommand, encode_request
 from softfin.rig.devices.axia80.sensor import axia80_sensor
-from softfin.rig.emulated_fin import FinMotion
 from softfin.rig.safety import SafetyConfig
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import DATE, SimulatedSocket
 from tests.rig.devices.axia80.faulty_network import FaultyNetwork
 from tests.rig.still_fin import StillFin
 
@@ -379,13 +379,13 @@ def test_the_emulated_zero_drifts_and_its_own_filter_delays_if_asked():
 def test_a_date_that_is_set_makes_no_force_newer_than_it_is(pair, step_s):
     sensor, client = pair
     read_for(client, 0.2)
-    sensor.clock.shared[DATE] = step_s
+    sensor.clock.wall_set_s = step_s
     readings = read_for(client, 0.3)
     assert all(b.force_time >= a.force_time for a, b in itertools.pairwise(readings))
     assert sensor.clock() - client.read().force_time < 0.06
     # In a pause: what is taken then is of its beginning, before the date was set.
     sensor.clock.sleep(1.0)
-    sensor.clock.shared[DATE] = 0.0
+    sensor.clock.wall_set_s = 0.0
     assert sensor.clock() - client.read().force_time > 0.5
 
 

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.errors import DeviceError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtRecord, encode_record
 from softfin.rig.devices.axia80.sensor import RdtSource, axia80_sensor
 from softfin.rig.devices.axia80.stream import Arrival, RdtClient
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import DATE, SimulatedSocket
 from softfin.rig.stream_clock import StreamClock
 
 CONFIG = Axia80Config(address="127.0.0.1", frame="x,y")
@@ -234,7 +234,7 @@ def test_any_datagrams_make_no_error_and_no_force_that_is_not_finite():
         socket.sendto(datagram, client)
         if draw.random() < 0.1:
             clock.sleep(draw.choice((0.0, 0.001, 0.01, 0.5)))
-            clock.shared[DATE] = draw.choice((0.0, 0.0, 0.0, 1e9, -1e9))
+            clock.wall_set_s = draw.choice((0.0, 0.0, 0.0, 1e9, -1e9))
             sensor.complaints()
             try:
                 reading = sensor.read()

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any, NamedTuple
 
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.dynamixel import EmulatedServo
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
-from softfin.rig.devices.dynamixel.emulated_servo import EmulatedServo
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 
 QUICK_STOP_RAD_S2 = 60.0

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from softfin.cli import main
+from softfin.emulation.dynamixel import MOUNTED_TICKS
+from softfin.emulation.rig import rigs
 from softfin.rig.devices.dynamixel import protocol
-from softfin.rig.devices.dynamixel.emulated_servo import MOUNTED_TICKS
-from softfin.rig.emulation.rig import rigs
 from softfin.rig.record import load_record
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_option

@@ -8,10 +8,10 @@ import pytest
 
 from softfin.core.dynamixel import CENTER
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
+from softfin.emulation.dynamixel import MOUNTED_TICKS
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import position_range
 from softfin.rig.devices.dynamixel.drive import Dynamixel
-from softfin.rig.devices.dynamixel.emulated_servo import MOUNTED_TICKS
 from softfin.rig.devices.dynamixel.link import NoAnswer
 from softfin.rig.devices.dynamixel.protocol import (
     HardwareError,

@@ -5,16 +5,16 @@ import math
 import pytest
 
 from softfin.core.errors import SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import COAST_RAD_S2
+from softfin.emulation.rig import EmulatedRig
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.protocol import HardwareError
-from softfin.rig.emulated_fin import COAST_RAD_S2
-from softfin.rig.emulation.rig import EmulatedRig
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.rigs import SAFETY
 

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 
 import can
 
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2.drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import open_bus
 from tests.rig.simple_fin import SimpleFin
 
 NODE = 5
@@ -107,7 +106,7 @@ class Sniffer:
     """All frames of a bus, each with the time that it came."""
 
     def __init__(self, made: Bench) -> None:
-        self._bus = open_bus(made.bus, made.clock)
+        self._bus = made.clock.open_bus(made.bus)
         self._clock = made.clock
         self._frames: list[tuple[float, int, bytes]] = []
 

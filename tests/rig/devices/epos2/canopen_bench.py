@@ -9,8 +9,8 @@ import can
 import canopen
 from canopen.profiles.p402 import BaseNode402
 
-from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
-from softfin.rig.devices.epos2.emulated_objects import dictionary, values
+from softfin.emulation.epos2.drive import EmulatedDrive
+from softfin.emulation.epos2.objects import dictionary, values
 from tests.patience import HANG_S, wait_until
 from tests.rig.devices.epos2.bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours

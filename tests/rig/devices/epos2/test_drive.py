@@ -9,16 +9,17 @@ import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2 import motor as emulated_motor
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, procedures, protocol
+from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.connection import CanConnection, download
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.procedures import BUS_REFUSES_S
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
-from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.devices.epos2.bench import (
     NODE,
     Bench,

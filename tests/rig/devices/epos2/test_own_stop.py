@@ -4,10 +4,10 @@ powered it."""
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.epos2.drive import DriveTraits
 from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.connection import CanConnection
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from tests.rig.devices.epos2.bench import NODE, Bench, Sniffer, bench, drive_config, enabled

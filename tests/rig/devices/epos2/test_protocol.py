@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softfin.emulation.epos2.motor import BY_ITSELF, next_state
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.devices.epos2.emulated_motor import BY_ITSELF, next_state
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, State
 
 GOLDEN = {

@@ -9,14 +9,14 @@ import can
 import pytest
 
 from softfin.core.errors import RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.epos2 import motor as emulated_motor
+from softfin.emulation.epos2.drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.bus import BusConfig
-from softfin.rig.devices.epos2 import emulated_motor, protocol
+from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, State
 from softfin.rig.machine import Target
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import open_bus
 from tests.rig.devices.epos2.bench import bus_config, drive_config
 from tests.rig.simple_fin import SimpleFin
 
@@ -97,7 +97,7 @@ def test_the_fin_of_a_host_that_dies_stands_and_the_others_swim_on(count: int) -
 
 def process_data_per_second(made: Shoal) -> float:
     seconds = 0.3
-    bus = open_bus(made.bus, made.clock)
+    bus = made.clock.open_bus(made.bus)
     made.clock.sleep(seconds)
     frames = []
     while message := bus.recv(0.0):
@@ -126,7 +126,7 @@ def test_a_second_host_with_the_same_number_or_drive_is_refused_before_it_sends_
             ({"node": 1}, r"this program's node number 126 is in use .* drive\.host_node"),
             ({"node": 7, "host_node": 126}, "this program's node number 126 is in use"),
         ):
-            bus = open_bus(made.bus, made.clock)
+            bus = made.clock.open_bus(made.bus)
             second = Epos2(made.bus, drive_config(**changes), made.clock)
             with pytest.raises(RigError, match=words):
                 second.open()
@@ -183,7 +183,7 @@ def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(
 ) -> None:
     with shoal(1) as made:
         host = made.hosts[0]
-        bus = open_bus(made.bus, made.clock)
+        bus = made.clock.open_bus(made.bus)
         next_state = emulated_motor.next_state
         powered_at = made.clock() + 1.0
 

@@ -1,6 +1,5 @@
 """A whole day at an emulated rig whose force sensor sends lines."""
 
-import contextlib
 import json
 import re
 
@@ -34,6 +33,7 @@ def test_check_zero_collect_and_evaluate_pass(simulated_rig, tmp_path, capsys):
     pass_a_day(simulated_rig, tmp_path, capsys)
 
 
+@pytest.mark.real_time
 def test_the_same_day_passes_over_a_pseudo_terminal(serial_rig, tmp_path, capsys):
     assert yaml.safe_load(serial_rig.read_text())["sensor"]["port"].startswith("/dev/pts/")
     pass_a_day(serial_rig, tmp_path, capsys)
@@ -47,12 +47,8 @@ def pass_a_day(rig, tmp_path, capsys):
     zero = load_record(rig).force_zero
     assert zero.wrench is not None
     capsys.readouterr()
-    # A failed check ends with an exit code.
-    with contextlib.suppress(SystemExit):
-        main(["rig", "check", *told, "--json"])
+    main(["rig", "check", *told, "--json"])
     rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
-    if rows.get("100 Hz loop", {}).get("state") == "wrong":
-        pytest.skip("the computer is too busy for a rig in real time")
     assert {row["state"] for row in rows.values()} <= {"well", "note"}
     # In real time, the measured rate depends on the computer.
     assert re.match(r"lines, [23]\d\d/s, delay ", rows["force sensor"]["text"])

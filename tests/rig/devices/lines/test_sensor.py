@@ -9,12 +9,12 @@ import pytest
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.lines import emulated_lines
+from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.emulated_sensor import UDP_PORT, EmulatedLines
 from softfin.rig.devices.lines.parser import LagWatch
 from softfin.rig.devices.lines.sensor import lines_sensor
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.testing import check_force_sensor
 from tests.rig.still_fin import StillFin
 
@@ -24,7 +24,7 @@ LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
 @contextmanager
 def bench(rate_hz=320.0, **changes):
     clock = SimulatedClock()
-    emulated = EmulatedLines(StillFin(*LOAD), rate_hz, clock)
+    emulated = emulated_lines(StillFin(*LOAD), rate_hz, clock)
     values = {
         "columns": ("count", "force_x", "force_y"),
         "rate_hz": rate_hz,
@@ -77,7 +77,7 @@ def test_the_zero_is_kept_by_softfin_and_survives_a_restart_of_the_sensor():
         sensor.zero()
         assert run(sensor, clock, 0.1).wrench[:2] == pytest.approx((0.0, 0.0), abs=0.01)
         kept = sensor.zero_wrench
-        emulated.reboot()
+        emulated.link.count = 0
         sensor.open()
         sensor.restore_zero(kept)
         assert run(sensor, clock, 0.1).wrench[:2] == pytest.approx((0.0, 0.0), abs=0.01)
@@ -88,7 +88,7 @@ def test_a_restart_while_in_use_is_a_fault():
     with bench() as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.5)
-        emulated.reboot()
+        emulated.link.count = 0
         run(sensor, clock, 0.1)
         assert "its counter went back" in sensor.complaints()[0]
 
@@ -267,8 +267,9 @@ def test_records_that_come_only_from_another_address_are_refused_with_it():
 
 
 @contextmanager
-def second_sender(clock, host, rate_hz=320.0):
+def second_sender(sensor, host, rate_hz=320.0):
     """Another sensor that sends to the same port."""
+    clock = sensor.clock
     second = SimulatedSocket(clock, host)
     ending = clock.event()
 
@@ -276,7 +277,7 @@ def second_sender(clock, host, rate_hz=320.0):
         count = 0
         while not ending.wait(1 / rate_hz):
             count += 1
-            second.sendto(f"{count},9.0,9.0\n".encode(), (LOOPBACK, UDP_PORT))
+            second.sendto(f"{count},9.0,9.0\n".encode(), (LOOPBACK, sensor.config.udp_port))
 
     thread = clock.spawn(send, "second sensor")
     try:
@@ -295,10 +296,10 @@ def test_two_senders_are_a_fault_that_names_both(host, columns):
     with bench(columns=columns) as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.2)
-        with second_sender(clock, host) as second:
+        with second_sender(sensor, host) as second:
             reading = run(sensor, clock, 0.1)
         (complaint,) = sensor.complaints()
-        first = f"{LOOPBACK}:{emulated._link._socket.address[1]}"
+        first = f"{LOOPBACK}:{emulated.link.socket.address[1]}"
         assert f"records come from {first} and {host}:{second.address[1]}, so two" in complaint
         if host != LOOPBACK:
             # Its records are not used.
@@ -309,8 +310,8 @@ def test_two_senders_are_a_fault_that_names_both(host, columns):
 
 def test_two_senders_that_double_the_rate_are_refused_with_both_names():
     with (
-        bench(columns=("skip", "force_x", "force_y")) as (_, sensor, clock),
-        second_sender(clock, LOOPBACK),
+        bench(columns=("skip", "force_x", "force_y")) as (_, sensor, _),
+        second_sender(sensor, LOOPBACK),
         pytest.raises(
             DeviceError, match=r"records come from 127.0.0.1:\d+ and 127.0.0.1:\d+, so two"
         ),

@@ -5,13 +5,15 @@ import time
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.emulation.lines import emulated_lines
 from softfin.rig import streamed_sensor
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
 from softfin.rig.devices.lines.sensor import lines_sensor
 from tests import needs
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
+
+pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +24,9 @@ def _patient(monkeypatch):
 def made(over, **changes):
     if over == "serial":
         needs.module("serial", "pyserial is not installed")
-    emulated = EmulatedLines(StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, over=over)
+    emulated = emulated_lines(
+        StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, udp_port=None if over == "serial" else 0
+    )
     values = {
         "columns": ("count", "force_x", "force_y"),
         "rate_hz": 80.0,
@@ -52,7 +56,7 @@ def test_a_sensor_that_is_unplugged_is_a_fault_and_its_port_is_refused_afterward
     emulated, sensor = made("serial")
     try:
         sensor.open()
-        emulated.unplug()
+        emulated.link.close()
         end = time.monotonic() + HANG_S
         while not any("disconnected" in line for line in sensor.complaints()):
             assert time.monotonic() < end

@@ -6,8 +6,6 @@ drivers read; the name of the serial number is unverified. We have not seen eith
 Axia80.
 """
 
-import contextlib
-import http.client
 from collections.abc import Callable
 from typing import Annotated
 from xml.etree.ElementTree import ParseError
@@ -16,16 +14,11 @@ import defusedxml.ElementTree
 import pydantic
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError, DeviceError, RigError, one_line
+from softfin.core.errors import ConfigurationError, RigError, one_line
+from softfin.rig.web_page import fetch_page
 
 SETTINGS = "/netftapi2.xml"
 CALIBRATION = "/netftcalapi.xml"
-
-MAX_PAGE_BYTES = 256 * 1024
-"""Maximum page size [bytes]; real pages are a few thousand bytes."""
-
-PAGE_TIMEOUT_S = 3.0
-"""Longest wait for the connection, and for each part of the response [s]."""
 
 POUND_FORCE_N = 4.4482216152605
 KILOGRAM_FORCE_N = 9.80665
@@ -85,37 +78,6 @@ class SensorSettings(Configuration):
     def scale(self) -> list[float]:
         """Scale of the six channels of a record [N/count, N m/count]."""
         return [self.scfgfu / self.cfgcpf] * 3 + [self.scfgtu / self.cfgcpt] * 3
-
-
-def fetch_page(host: str, port: int, path: str) -> bytes | None:
-    """Return a page of the sensor without following redirects; None if the sensor does not have
-    it."""
-    where = f"http://{host}:{port}{path}"
-    try:
-        connection = http.client.HTTPConnection(host, port, timeout=PAGE_TIMEOUT_S)
-        with contextlib.closing(connection):
-            connection.request("GET", path, headers={"Connection": "close"})
-            response = connection.getresponse()
-            body = response.read(MAX_PAGE_BYTES + 1)
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        reason = (
-            f"no response within {PAGE_TIMEOUT_S:g} s"
-            if isinstance(error, TimeoutError)
-            else f"{error}"
-        )
-        raise DeviceError(
-            f"{where}: cannot read the force sensor's page "
-            f"({' '.join(reason.split()) or type(error).__name__}); check its power, cable, "
-            "address and http_port"
-        ) from None
-    if response.status == http.client.NOT_FOUND:
-        return None
-    if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
-        raise RigError(
-            f"{where}: returned {response.status} {response.reason[:80]} with {len(body)} bytes; "
-            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; is this the address of an Axia80?"
-        )
-    return body
 
 
 def read_settings(

@@ -5,18 +5,14 @@ Axia). Tested with the emulator, which a third-party client can also read, but n
 sensor.
 """
 
-from functools import partial
-
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.clock import REAL, Clock
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.pages import fetch_page, read_settings
+from softfin.rig.devices.axia80.pages import read_settings
 from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtCommand, decode_status, wrapped_step
 from softfin.rig.devices.axia80.stream import Arrival, RdtClient
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import fetch_simulated_page
 from softfin.rig.streamed_sensor import FIRST_WAIT_S, RecordSource, StreamedSensor, TimedWrench
 
 RETRY_S = 0.1
@@ -38,7 +34,7 @@ MAX_GAP = 1 << 24
 """Longest gap [records or samples]: half an hour at 8 kHz."""
 
 
-def axia80_sensor(config: Axia80Config, clock: Clock = REAL) -> StreamedSensor:
+def axia80_sensor(config: Axia80Config, clock: Computer = COMPUTER) -> StreamedSensor:
     """Return an Axia80."""
     return StreamedSensor(config, RdtSource(config, clock), clock)
 
@@ -52,7 +48,7 @@ class RdtSource(RecordSource):
     """The noise of an Axia80 is thousands of counts (not verified), so even two equal consecutive
     records are rare."""
 
-    def __init__(self, config: Axia80Config, clock: Clock) -> None:
+    def __init__(self, config: Axia80Config, clock: Computer) -> None:
         # The sensor streams only to the latest client: a second program would cut off the first.
         super().__init__(config.address, config.address, config.rdt_port)
         self.config = config
@@ -80,19 +76,13 @@ class RdtSource(RecordSource):
         """Read the sensor's pages and request its stream; raises RigError if the sensor does not
         match the rig's file and DeviceError if it does not respond."""
         config = self.config
-        clock = self.clock
         self._reset()
-        fetch = (
-            partial(fetch_simulated_page, clock)
-            if isinstance(clock, SimulatedClock)
-            else fetch_page
-        )
-        settings = read_settings(config.address, config.http_port, fetch)
+        settings = read_settings(config.address, config.http_port, self.clock.fetch_page)
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
         # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.
         self.identity = {"serial": settings.calsn, "own_zero": settings.setbias}
-        self._client = RdtClient(config.address, config.rdt_port, clock)
+        self._client = RdtClient(config.address, config.rdt_port, self.clock)
         self._request()
 
     def take(self) -> list[TimedWrench]:

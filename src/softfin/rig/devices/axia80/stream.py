@@ -6,16 +6,14 @@ import struct
 import sys
 from typing import NamedTuple
 
-from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
+from softfin.rig.computer import Computer
 from softfin.rig.devices.axia80.rdt import (
     RdtCommand,
     RdtRecord,
     decode_record,
     encode_request,
 )
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 
 BUFFER_BYTES = 4 * 1024 * 1024
 """Requested size of the kernel's receive buffer: seconds of the stream, in case the process is
@@ -55,26 +53,17 @@ class RdtClient:
     """Non-blocking UDP client; its socket is connected, so that the kernel delivers only datagrams
     from the sensor's port."""
 
-    def __init__(self, host: str, port: int, clock: Clock) -> None:
+    def __init__(self, host: str, port: int, clock: Computer) -> None:
         self.refused = 0
         self._clock = clock
-        self._date = clock.wall
         self._has_stamps = False
         self._empty_at = clock()
         """Latest time at which the socket is known to have been empty [s]."""
-        self._socket: socket.socket | SimulatedSocket
-        if isinstance(clock, SimulatedClock):
-            simulated = SimulatedSocket(clock, host)
-            simulated.connect((host, port))
-            self._socket = simulated
-            self._date = simulated.date
-            self._date_offset, _ = self._measure_offset()
-            return
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = clock.udp_socket()
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
             self._socket.connect((host, port))
-            self._socket.setblocking(False)
+            self._socket.settimeout(0)
         except (OSError, UnicodeError) as error:
             self._socket.close()
             raise DeviceError(
@@ -156,7 +145,7 @@ class RdtClient:
         """
         for _ in range(OFFSET_TRIES):
             before = self._clock()
-            date = self._date()
+            date = self._clock.wall()
             after = self._clock()
             if after - before < DATE_STEP_S / 10:
                 break
@@ -167,11 +156,8 @@ class RdtClient:
     def _receive(self) -> tuple[bytes, float | None]:
         """Return a datagram and the wall-clock time at which the kernel received it [s]; None on
         platforms without such timestamps."""
-        if isinstance(self._socket, SimulatedSocket):
-            data, stamp, _ = self._socket.receive()
-            return data, stamp
         if not self._has_stamps:
-            return self._socket.recv(4096), None
+            return self._socket.recvfrom(4096)[0], None
         data, ancillary, _, _ = self._socket.recvmsg(4096, 256)
         for level, kind, value in ancillary:
             if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(value) == STAMP.size:

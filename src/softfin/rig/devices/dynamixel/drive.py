@@ -14,10 +14,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.dynamixel import protocol, setup
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
@@ -85,7 +85,7 @@ _PRESENT = struct.Struct("<ii")
 class Dynamixel:
     """A Dynamixel: open, enable, command, stop."""
 
-    def __init__(self, config: DynamixelConfig, clock: Clock = REAL) -> None:
+    def __init__(self, config: DynamixelConfig, clock: Computer = COMPUTER) -> None:
         self.config = config
         self.clock = clock
         self.link = ServoLink(config, clock)

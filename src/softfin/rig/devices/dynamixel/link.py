@@ -1,4 +1,4 @@
-"""Instructions to one servo and its answers, over a serial port or, in simulated time, a socket.
+"""Instructions to one servo and its answers, over a serial port.
 
 The port is half-duplex: an instruction is sent only after the answer to the one before, or after
 its time is over. Any thread may send; the lock keeps instructions apart.
@@ -8,11 +8,9 @@ import contextlib
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from typing import Protocol
 
-from softfin.core.choices import LOOPBACK
-from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
+from softfin.rig.computer import Computer, SerialPort
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.protocol import (
     ALERT,
@@ -23,12 +21,6 @@ from softfin.rig.devices.dynamixel.protocol import (
     Refusal,
     encode_packet,
 )
-from softfin.rig.serial_port import open_serial_port
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
-
-SERVO_PORT = 47_471
-"""Port of the socket of an emulated servo in simulated time."""
 
 READ_STEP_S = 0.002
 """Longest wait of one read [s]."""
@@ -53,92 +45,10 @@ class RefusedError(DeviceError):
         self.code = code
 
 
-class Port(Protocol):
-    """A port with bytes in both directions; its methods raise OSError if it is gone."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def read(self) -> bytes:
-        """Wait up to `READ_STEP_S` for bytes and return them."""
-
-    def discard(self) -> None:
-        """Drop the bytes that have arrived."""
-
-    def close(self) -> None:
-        """Close; may be called repeatedly."""
-
-
-class SerialPort:
-    """A serial port."""
-
-    def __init__(self, port: str, baud: int, exclusive: bool) -> None:
-        self._serial = open_serial_port(
-            port,
-            baud,
-            timeout_s=READ_STEP_S,
-            write_timeout_s=WRITE_TIMEOUT_S,
-            exclusive=exclusive,
-        )
-        # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
-        # do not have this setting; `open` of the drive measures the delay in any case.
-        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
-            self._serial.set_low_latency_mode(True)
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        self._serial.write(data)
-
-    def read(self) -> bytes:
-        """Return the bytes that have arrived, at least one unless none arrives in time."""
-        data: bytes = self._serial.read(max(1, self._serial.in_waiting))
-        return data
-
-    def discard(self) -> None:
-        """Drop the bytes that have arrived."""
-        # `reset_input_buffer` raises termios.error, which is not an OSError, at an unplugged port.
-        self._serial.read(self._serial.in_waiting)
-
-    def close(self) -> None:
-        """Close the port."""
-        with contextlib.suppress(OSError):
-            self._serial.close()
-
-
-class SimulatedPort:
-    """A connection to an emulated servo in simulated time."""
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self._socket = SimulatedSocket(clock, LOOPBACK, timeout=READ_STEP_S)
-        self._socket.connect((LOOPBACK, SERVO_PORT))
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        self._socket.send(data)
-
-    def read(self) -> bytes:
-        """Return the next bytes; empty if none arrive in time."""
-        try:
-            return self._socket.recvfrom(65_535)[0]
-        except BlockingIOError:
-            return b""
-
-    def discard(self) -> None:
-        """Drop the bytes that have arrived."""
-        self._socket.timeout = 0.0
-        while self.read():
-            pass
-        self._socket.timeout = READ_STEP_S
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-
 class ServoLink:
     """Link to the servo of a configuration."""
 
-    def __init__(self, config: DynamixelConfig, clock: Clock) -> None:
+    def __init__(self, config: DynamixelConfig, clock: Computer) -> None:
         self.name = f"servo {config.id} on {config.port}"
         self.counters: Counter[str] = Counter()
         self.lock = clock.lock()
@@ -147,23 +57,31 @@ class ServoLink:
         self._config = config
         self._clock = clock
         self._parser = PacketParser()
-        self._port: Port | None = None
+        self._port: SerialPort | None = None
 
     def open(self, exclusive: bool = True) -> None:
         """Open the port; raises DeviceError."""
         self.close()
         self.counters.clear()
-        if isinstance(self._clock, SimulatedClock):
-            self._port = SimulatedPort(self._clock)
-        else:
-            self._port = SerialPort(self._config.port, self._config.baud, exclusive)
+        self._port = self._clock.open_serial_port(
+            self._config.port,
+            self._config.baud,
+            timeout_s=READ_STEP_S,
+            write_timeout_s=WRITE_TIMEOUT_S,
+            exclusive=exclusive,
+        )
+        # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
+        # do not have this setting; `open` of the drive measures the delay in any case.
+        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
 
     def close(self) -> None:
         """Close the port; may be called repeatedly and never raises."""
         port = self._port
         self._port = None
         if port is not None:
-            port.close()
+            with contextlib.suppress(OSError):
+                port.close()
 
     def ping(self) -> tuple[int, int]:
         """Return model number and firmware version; raises DeviceError."""
@@ -195,7 +113,7 @@ class ServoLink:
         self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
 
     @contextlib.contextmanager
-    def _using_port(self) -> Iterator[Port]:
+    def _using_port(self) -> Iterator[SerialPort]:
         """Lock the port for one instruction; raises DeviceError if the port cannot be used."""
         if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
             raise DeviceError(f"{self.name}: another request is still unanswered; try again")
@@ -220,7 +138,8 @@ class ServoLink:
             # Late answers must not be taken for the next one. If a second program takes them first,
             # this is an error, but the instruction, which may be a stop, must be sent.
             with contextlib.suppress(OSError):
-                port.discard()
+                # Not `reset_input_buffer`, which raises termios.error at an unplugged port.
+                port.read(port.in_waiting)
             self._parser.clear()
             port.write(encode_packet(Packet(self._config.id, instruction, request)))
             answer = self._await_answer(port, size, self._clock() + answer_s)
@@ -240,11 +159,11 @@ class ServoLink:
             )
         return answer[1:]
 
-    def _await_answer(self, port: Port, size: int, end: float) -> bytes | None:
+    def _await_answer(self, port: SerialPort, size: int, end: float) -> bytes | None:
         """Return the error byte and data of the answer; None if none arrives in time."""
         while True:
             errors = self._parser.crc_errors
-            packets = self._parser.feed(port.read())
+            packets = self._parser.feed(port.read(max(1, port.in_waiting)))
             self.counters["crc errors"] += self._parser.crc_errors - errors
             for packet in packets:
                 is_ours = packet.servo_id == self._config.id

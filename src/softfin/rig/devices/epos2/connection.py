@@ -16,12 +16,11 @@ from collections.abc import Callable
 
 import can
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.protocol import Object
-from softfin.rig.simulated_network import open_bus
 
 SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
@@ -54,7 +53,7 @@ class CanConnection:
         node: int,
         on_frame: Callable[[int, bytes], None],
         on_problem: Callable[[str], None],
-        clock: Clock = REAL,
+        clock: Computer = COMPUTER,
     ) -> None:
         self._config = config
         self.node = node
@@ -86,7 +85,7 @@ class CanConnection:
                 # python-can would retry for ten seconds and flood the terminal.
                 address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
                 socket.create_connection(address, timeout=2).close()
-            bus = self._bus = open_bus(self._config, self._clock)
+            bus = self._bus = self._clock.open_bus(self._config)
             self._clock.spawn(lambda: self._receive(bus), "drive receiver")
         except Exception as error:
             # Each python-can interface raises different exceptions.

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TypeAlias
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
 from softfin.rig.bus import BusConfig
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.connection import CanConnection, download
@@ -229,7 +229,7 @@ class Exchange:
         self,
         bus: BusConfig,
         config: Epos2Config,
-        clock: Clock = REAL,
+        clock: Computer = COMPUTER,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:
         self.bus = bus

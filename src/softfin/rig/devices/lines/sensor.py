@@ -3,8 +3,8 @@
 import os
 from collections.abc import Iterator
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.printable import printable
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
@@ -18,7 +18,7 @@ from softfin.rig.streamed_sensor import (
 )
 
 
-def lines_sensor(config: LinesConfig, clock: Clock = REAL) -> StreamedSensor:
+def lines_sensor(config: LinesConfig, clock: Computer = COMPUTER) -> StreamedSensor:
     """Return a force sensor that sends lines."""
     return StreamedSensor(config, LineSource(config, clock), clock)
 
@@ -29,7 +29,7 @@ class LineSource(RecordSource):
     unit = "line"
     remedy = "check its cable and supply"
 
-    def __init__(self, config: LinesConfig, clock: Clock) -> None:
+    def __init__(self, config: LinesConfig, clock: Computer) -> None:
         port = config.port
         name = port or f"{config.address} on UDP port {config.udp_port}"
         # A port may have several names.

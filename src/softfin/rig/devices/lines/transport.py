@@ -12,10 +12,8 @@ from typing import NamedTuple, Protocol
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
+from softfin.rig.computer import Computer
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.serial_port import open_serial_port
-from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.simulated_network import SimulatedSocket
 from softfin.rig.streamed_sensor import queue_length
 
 WAIT_S = 0.05
@@ -47,8 +45,8 @@ class Transport(Protocol):
 class SerialTransport:
     """A serial port, opened for this program alone."""
 
-    def __init__(self, port: str, baud: int) -> None:
-        self._serial = open_serial_port(port, baud, timeout_s=WAIT_S)
+    def __init__(self, port: str, baud: int, clock: Computer) -> None:
+        self._serial = clock.open_serial_port(port, baud, timeout_s=WAIT_S)
 
     def read(self) -> Received:
         """Return the bytes that have arrived, at least one unless none arrives in time."""
@@ -62,13 +60,8 @@ class SerialTransport:
 class UdpTransport:
     """Datagrams; each contains whole lines."""
 
-    def __init__(self, address: str, port: int, clock: Clock) -> None:
-        self._address = address
-        self._socket: socket.socket | SimulatedSocket
-        if isinstance(clock, SimulatedClock):
-            self._socket = SimulatedSocket(clock, LOOPBACK, port, WAIT_S)
-            return
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def __init__(self, address: str, port: int, clock: Computer) -> None:
+        self._socket = clock.udp_socket()
         try:
             self._address = socket.gethostbyname(address)
             # A sensor on this computer is an emulated one, which others need not reach.
@@ -97,10 +90,10 @@ class UdpTransport:
         self._socket.close()
 
 
-def open_transport(config: LinesConfig, clock: Clock) -> Transport:
+def open_transport(config: LinesConfig, clock: Computer) -> Transport:
     """Open the port of a sensor; raises DeviceError."""
     if config.port is not None:
-        return SerialTransport(config.port, config.baud)
+        return SerialTransport(config.port, config.baud, clock)
     assert config.address is not None
     assert config.udp_port is not None
     return UdpTransport(config.address, config.udp_port, clock)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from softfin.core.clock import REAL, Clock
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
 from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.rig.loss_estimate import LossEstimate
@@ -24,7 +24,6 @@ from softfin.rig.ros2.connection import (
     read_stamp,
     read_wrench,
 )
-from softfin.rig.ros2.plant import open_transport
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
@@ -43,7 +42,7 @@ SAME_CLOCK_S = 1.0
 another clock [s]."""
 
 
-def topic_sensor(config: TopicSensorConfig, clock: Clock = REAL) -> StreamedSensor:
+def topic_sensor(config: TopicSensorConfig, clock: Computer = COMPUTER) -> StreamedSensor:
     """Return a force sensor behind a topic."""
     return StreamedSensor(config, TopicSource(config, clock), clock)
 
@@ -54,7 +53,7 @@ class TopicSource(RecordSource):
     unit = "message"
     remedy = "check its driver and the network"
 
-    def __init__(self, config: TopicSensorConfig, clock: Clock) -> None:
+    def __init__(self, config: TopicSensorConfig, clock: Computer) -> None:
         super().__init__(config.topic, "ros2", config.connection.domain, config.topic)
         self.config = config
         self.clock = clock
@@ -77,7 +76,7 @@ class TopicSource(RecordSource):
         """Subscribe to the topic; raises RigError or DeviceError."""
         self._reset()
         config = self.config
-        self._transport = open_transport(config.connection, clock=self.clock)
+        self._transport = self.clock.open_topics(config.connection)
         # Best effort matches every publisher, and a message that is sent again would be too late.
         self._messages = Subscription(
             self._transport,

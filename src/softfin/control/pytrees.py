@@ -1,0 +1,25 @@
+"""Controllers as JAX pytrees, for compiled programs that take a controller as an argument."""
+
+import dataclasses
+from functools import cache
+
+import jax
+
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import CONTROLLER_STEPS
+
+
+@cache
+def register_controllers() -> None:
+    """Register the classes of controllers as pytrees; fields are leaves unless they are `STATIC` or
+    `DROPPED`.
+
+    The classes cannot do it themselves, because a robot runs them without JAX.
+    """
+    for each in (LoadedController, DisturbanceObserver, *CONTROLLER_STEPS.values()):
+        names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}
+        for field in dataclasses.fields(each):
+            role = next(iter(field.metadata), "leaf")
+            names[role].append(field.name)
+        jax.tree_util.register_dataclass(each, *names.values())

@@ -1,0 +1,62 @@
+"""Types of the parameters of public functions, with their placeholders on the command line.
+
+A parameter is ``Annotated[type, DIR]``, for example; a bool is a flag, a Literal is a choice and a
+tuple is a repeatable option.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias, get_args
+
+from cyclopts import Parameter, Token
+
+from softfin.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from softfin.core.configuration import Settings
+    from softfin.core.plant import Plant
+
+    PlantLike: TypeAlias = str | Plant
+else:
+    # A plant needs JAX, which a command's help must not wait for; only names can be typed.
+    PlantLike = str
+    Settings = str
+
+PathLike: TypeAlias = str | Path
+"""A file or a folder."""
+
+DIR = Parameter(metavar="DIR")
+FILE = Parameter(metavar="FILE")
+PLANT = Parameter(metavar="PLANT")
+DATA = Parameter(metavar="DATA")
+RECORDING = Parameter(metavar="RECORDING")
+LOGS = Parameter(metavar="LOGS")
+CONTROLLER = Parameter(metavar="CONTROLLER")
+
+Force: TypeAlias = tuple[float, float]
+"""A force (x, y) [N]."""
+
+
+def _parse_forces(hint: object, tokens: Sequence[Token]) -> Force | tuple[Force, ...]:
+    forces = []
+    for token in tokens:
+        try:
+            x, y = map(float, token.value.split(","))
+        except ValueError:
+            raise ConfigurationError(
+                f"{token.keyword} {token.value}: not a force; use X,Y in newtons, e.g. 1,-1"
+            ) from None
+        forces.append((x, y))
+    is_repeated = get_args(hint)[1:] == (...,)
+    return tuple(forces) if is_repeated else forces[-1]
+
+
+FORCE = Parameter(metavar="X,Y", n_tokens=1, converter=_parse_forces)
+"""For forces, each as X,Y in one word."""
+
+HIDDEN = Parameter(parse=False)
+"""For a parameter that cannot be typed, such as `progress`."""
+
+Config: TypeAlias = Annotated[Settings | None, FILE]
+"""Configuration of a stage: complete, or changes of the default. On the command line, a YAML file;
+each field is also an option, such as ``--excitation.hold-min-s 0.2``, and wins over the file."""

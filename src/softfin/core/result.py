@@ -1,0 +1,16 @@
+"""What a stage returns: a mapping for programs, and a text for people."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+class Result(dict[str, Any]):
+    """The contents of a stage's JSON. Printed, it is the text that the command shows."""
+
+    def __init__(self, values: Mapping[str, Any], text: str) -> None:
+        super().__init__(values)
+        self.text = text
+        """What the command prints."""
+
+    def __str__(self) -> str:
+        return self.text

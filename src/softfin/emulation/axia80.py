@@ -1,0 +1,276 @@
+"""An emulated Axia80, loaded by an emulated fin: implements RDT over UDP and serves its web pages.
+
+The fin's wrench is rotated into the sensor's axes and converted to counts; loads out of range are
+flagged.
+"""
+
+import contextlib
+import itertools
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.json_object import JsonObject
+from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.fin import EmulatedFin
+from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.devices.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
+from softfin.rig.devices.axia80.rdt import (
+    BUSY,
+    OVER_RANGE,
+    RdtCommand,
+    RdtRecord,
+    decode_request,
+    encode_record,
+)
+from softfin.rig.machine import rotated, rotation
+
+RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
+"""Measuring range of the M20 [N, N m], not verified; loads beyond it are flagged and clipped."""
+
+ADC_RATE_HZ = 7812.0
+
+BUSY_AT_START_S = 0.3
+"""Time for which the sensor is busy after power-up [s]; assumed, and not verified that it is busy
+then."""
+
+NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
+"""Noise [counts], indexed by the sample counter. The noise of a real sensor is thousands of counts
+(not verified); here it is just large enough to show that the sensor is alive, so that tests can
+compare forces."""
+
+WAKE_S = 0.002
+"""Longest interval between sends [s]; all records due by then are sent."""
+
+
+class EmulatedAxia80:
+    """Emulated sensor, running in daemon threads from construction until `close`; faults may be set
+    from any thread."""
+
+    def __init__(
+        self,
+        fin: EmulatedFin,
+        rdt_port: int = 0,
+        http_port: int = 0,
+        rate_hz: float = 1000.0,
+        frame: str = "x,y",
+        units: tuple[str, str] = ("N", "N-m"),
+        counts: tuple[float, float] = (1e6, 1e6),
+        clock: Computer = COMPUTER,
+    ) -> None:
+        """`units` are those of force and torque, and `counts` the counts per unit of each."""
+        self.rate_hz = rate_hz
+        self.pages = sensor_pages(units, counts)
+        """Web pages, by path; may be changed at any time."""
+        self.status = 0
+        """Status of every record; tests may set its bits."""
+        self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
+        """Function that maps a sent datagram to those that arrive; tests may lose, duplicate or
+        delay datagrams."""
+        self.busy_s = BUSY_AT_START_S
+        """Time for which the sensor is busy after power-up [s]; tests may set this and the
+        following attributes."""
+        self.are_values_frozen = False
+        """Whether all six channels are frozen while records continue."""
+        self.drift_n_s = 0.0
+        """Drift of the zero since power-up, for each axis of the force [N/s]."""
+        self.filter_delay_s = 0.0
+        """Delay of the sensor's internal low-pass filter [s], which is not visible in its
+        records."""
+        self._fin = fin
+        self._clock = clock
+        # The inverse of the client's rotation: from softfin's axes to the sensor's.
+        self._rotation = rotation(frame).T
+        self._scale = np.repeat(
+            [counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3
+        )
+        # Counts are 32-bit integers, and the noise adds up to 1 count.
+        self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
+        self._bias = np.zeros(6)
+        self._powered_at = clock()
+        self._counts = (0, 0, 0, 0, 0, 0)
+        self._silent_until = 0.0
+        self._history: deque[tuple[float, np.ndarray]] = deque()
+        """Loads and their times; the first is the latest to have passed the internal filter."""
+        self._lock = threading.Lock()
+        self._closing = clock.event()
+        self._stream: _Stream | None = None
+        self._ports = contextlib.ExitStack()
+        wake_s = max(WAKE_S, 1 / rate_hz)
+        self._socket = clock.udp_socket()
+        self._socket.settimeout(wake_s)
+        self._socket.bind((LOOPBACK, rdt_port))
+        self.rdt_port = int(self._socket.getsockname()[1])
+        if isinstance(clock, SimulatedClock):
+            self.http_port = http_port or self.rdt_port
+            clock.shared["http", LOOPBACK, self.http_port] = self.pages
+            self._ports.callback(clock.shared.pop, ("http", LOOPBACK, self.http_port), None)
+        else:
+            server = serve_pages(http_port, self.pages)
+            self.http_port = server.server_port
+            self._ports.callback(server.server_close)
+            self._ports.callback(server.shutdown)
+        self._ports.callback(self._socket.close)
+        self._thread = clock.spawn(self._serve, "emulated sensor's stream")
+
+    def address(self) -> JsonObject:
+        """Return its address and ports, as in a rig's file."""
+        return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
+
+    def description(self) -> str:
+        """Return its address and ports."""
+        pages = f"pages at http://{LOOPBACK}:{self.http_port}"
+        return f"{LOOPBACK}, RDT port {self.rdt_port}, {pages}"
+
+    def remembered(self) -> JsonObject:
+        """Return the state that a power loss would erase, for JSON: the zero in the sensor's axes
+        [N, N m] and the sample counter."""
+        with self._lock:
+            return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue as if the supply had never been off."""
+        with self._lock:
+            self._bias = np.array(remembered["bias"], float)
+            self._powered_at = self._clock() - int(remembered["samples"]) / ADC_RATE_HZ
+
+    def silence(self, seconds: float = float("inf")) -> None:
+        """Neither receive nor send for a time [s]; 0 ends the silence."""
+        self._silent_until = self._clock() + seconds
+
+    def reboot(self, seconds: float = 0.5) -> None:
+        """Switch off and on: silent for a time [s], then without client and zero, and with a new
+        sample counter."""
+        with self._lock:
+            self._stream = None
+            self._bias = np.zeros(6)
+            self._powered_at = self._clock() + seconds
+            self.silence(seconds)
+
+    def close(self) -> None:
+        """Stop the sensor; may be called repeatedly."""
+        self._closing.set()
+        self._thread.join()
+        self._ports.close()
+
+    def _serve(self) -> None:
+        while not self._closing.is_set():
+            # A timeout, or an ICMP error for a client that is gone.
+            with contextlib.suppress(OSError):
+                data, sender = self._socket.recvfrom(2048)
+                request = decode_request(data)
+                with self._lock:
+                    if request is not None and self._clock() >= self._silent_until:
+                        command, wanted = request
+                        if command is RdtCommand.BIAS:
+                            self._bias = self._felt(self._clock())
+                        elif command is RdtCommand.STOP:
+                            # From any client: there is only one stream, to the latest client.
+                            self._stream = None
+                        else:
+                            self._stream = _Stream(sender, self._clock(), wanted)
+            with self._lock:
+                now = self._clock()
+                stream = self._stream
+                datagrams = [] if stream is None else self._measure(stream, now)
+            for arriving in itertools.chain.from_iterable(map(self.transmit, datagrams)):
+                if stream is not None and now >= self._silent_until:
+                    with contextlib.suppress(OSError):
+                        self._socket.sendto(arriving, stream.client)
+
+    def _measure(self, stream: "_Stream", now: float) -> list[bytes]:
+        """Return the records that are due, all with the current load."""
+        due = int((now - stream.began) * self.rate_hz) - stream.sent
+        if stream.wanted:
+            due = min(due, stream.wanted - stream.sent)
+        if due <= 0:
+            return []
+        exact = (self._felt(now) - self._bias) * self._scale
+        clipped = np.rint(np.clip(exact, -self._limits, self._limits)).astype(int)
+        status = self.status
+        if (np.abs(exact) > self._limits).any():
+            status |= OVER_RANGE
+        if now - self._powered_at < self.busy_s:
+            status |= BUSY
+        datagrams = []
+        for _ in range(due):
+            samples = self._samples(stream.began + stream.sent / self.rate_hz)
+            stream.sent += 1
+            if not self.are_values_frozen:
+                fx, fy, fz, tx, ty, tz = (clipped + NOISE[samples % len(NOISE)]).tolist()
+                self._counts = fx, fy, fz, tx, ty, tz
+            record = RdtRecord(stream.sent % 2**32, samples % 2**32, status, self._counts)
+            datagrams.append(encode_record(record))
+        return datagrams
+
+    def _samples(self, time: float) -> int:
+        """Return the sample counter, which is 0 at power-up."""
+        return max(0, int((time - self._powered_at) * ADC_RATE_HZ))
+
+    def _felt(self, now: float) -> np.ndarray:
+        """Return the filtered load in the sensor's axes, including the drift of its zero."""
+        self._history.append((now, np.array(rotated(self._fin.now().wrench, self._rotation))))
+        while len(self._history) > 1 and self._history[1][0] <= now - self.filter_delay_s:
+            self._history.popleft()
+        drift = self.drift_n_s * (now - self._powered_at)
+        load: np.ndarray = self._history[0][1] + np.repeat([drift, 0.0], 3)
+        return load
+
+
+@dataclass
+class _Stream:
+    client: tuple[str, int]
+    began: float
+    wanted: int
+    """Number of records to send; 0 for an endless stream."""
+    sent: int = 0
+
+
+def sensor_pages(
+    units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000"
+) -> dict[str, bytes]:
+    """Return the two pages read by clients, by path, in the format of the real ones; `units` and
+    `counts` are those of force and torque."""
+    settings = {
+        "prodname": "Emulated Axia80-M20",
+        "scfgfu": units[0],
+        "scfgtu": units[1],
+        "cfgcpf": f"{counts[0]:.10g}",
+        "cfgcpt": f"{counts[1]:.10g}",
+    }
+    return {
+        SETTINGS: _xml("netft", settings),
+        CALIBRATION: _xml("netftCalibration", {"calsn": serial}),
+    }
+
+
+def serve_pages(port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
+    """Serve bytes by path in a daemon thread, until the server's `shutdown` and `server_close`."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            body = pages.get(self.path)
+            self.send_response(404 if body is None else 200)
+            self.send_header("Content-Length", str(len(body or b"")))
+            self.end_headers()
+            self.wfile.write(body or b"")
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Log nothing."""
+
+    server = ThreadingHTTPServer((LOOPBACK, port), Handler)
+    threading.Thread(
+        target=server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages"
+    ).start()
+    return server
+
+
+def _xml(root: str, fields: Mapping[str, str]) -> bytes:
+    rows = "\r\n".join(f"<{name}>{escape(value)}</{name}>" for name, value in fields.items())
+    return f'<?xml version="1.0" encoding="UTF-8"?>\r\n<{root}>\r\n{rows}\r\n</{root}>\r\n'.encode()

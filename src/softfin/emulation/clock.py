@@ -1,0 +1,52 @@
+"""Simulated time with ports to the emulated devices that exist in it."""
+
+import can
+
+from softfin.core.errors import DeviceError
+from softfin.emulation.network import SimulatedBus, SimulatedSerialPort, SimulatedSocket
+from softfin.emulation.ros2 import SimulatedTransport
+from softfin.emulation.time import SimulatedTime
+from softfin.rig.bus import BusConfig
+from softfin.rig.computer import Computer, SerialPort, UdpSocket
+from softfin.rig.ros2.config import TransportConfig
+from softfin.rig.ros2.connection import Transport
+
+
+class SimulatedClock(SimulatedTime, Computer):
+    """A computer in simulated time: each connection is within this process, whatever its
+    configuration."""
+
+    def open_bus(self, config: BusConfig) -> can.BusABC:
+        """Return the bus of a channel."""
+        return SimulatedBus(self, config.channel)
+
+    def open_serial_port(
+        self,
+        port: str,
+        baud: int,
+        *,
+        timeout_s: float,
+        write_timeout_s: float | None = None,
+        exclusive: bool = True,
+    ) -> SerialPort:
+        """Return an end of the serial line with a name."""
+        return SimulatedSerialPort(self, port, timeout_s)
+
+    def udp_socket(self) -> UdpSocket:
+        """Return a new socket."""
+        return SimulatedSocket(self)
+
+    def fetch_page(self, host: str, port: int, path: str) -> bytes | None:
+        """Return a page of an emulated sensor, or None if it does not exist; raises DeviceError if
+        there is no server."""
+        pages: dict[str, bytes] | None = self.shared.get(("http", host, port))
+        if pages is None:
+            raise DeviceError(
+                f"http://{host}:{port}{path}: cannot read the force sensor's page (no server); "
+                "check its power, cable, address and http_port"
+            )
+        return pages.get(path)
+
+    def open_topics(self, config: TransportConfig) -> Transport:
+        """Connect to topics within this process."""
+        return SimulatedTransport(self)

@@ -1,0 +1,166 @@
+"""Interface of the emulated devices, and how each type is set up and started."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.json_object import JsonObject
+from softfin.core.quantities import Limits
+from softfin.emulation.axia80 import EmulatedAxia80
+from softfin.emulation.dynamixel import EmulatedServo
+from softfin.emulation.epos2.drive import EmulatedDrive
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.emulation.lines import emulated_lines
+from softfin.emulation.topic import emulated_topic
+from softfin.rig.bus import BusConfig
+from softfin.rig.computer import Computer
+from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.devices.registry import find_device
+
+EMULATED_RATE_HZ = 320.0
+"""Rate of the emulated `lines` and `ros2` sensors [Hz]."""
+
+
+class EmulatedDevice(Protocol):
+    """An emulated device, running from construction until `close`."""
+
+    def address(self) -> JsonObject:
+        """Return the fields of the device's configuration that lead to this emulator."""
+
+    def description(self) -> str:
+        """Describe the address for the operator."""
+
+    def remembered(self) -> JsonObject:
+        """Return the state that a power loss would erase, for JSON."""
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue as if the supply had never been off."""
+
+    def close(self) -> None:
+        """Stop; may be called repeatedly."""
+
+
+class DriveEmulator(NamedTuple):
+    """How to emulate a type of drive."""
+
+    values: JsonObject
+    """The configuration, except for the limits."""
+    start: Callable[[Any, BusConfig, EmulatedFin, Computer], EmulatedDevice]
+    """Starts an emulator with a configuration, which turns a fin."""
+
+
+class SensorEmulator(NamedTuple):
+    """How to emulate a type of force sensor."""
+
+    values: JsonObject
+    """The configuration."""
+    start: Callable[[Any, EmulatedFin, Computer], EmulatedDevice]
+    """Starts an emulator with a configuration, which measures a fin's force."""
+
+
+def _start_axia80(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+    # In simulated time, the sensor can use its factory ports, because they exist only within this
+    # process.
+    rdt_port, http_port = (config.rdt_port, config.http_port) if clock.is_simulated else (0, 0)
+    return EmulatedAxia80(fin, rdt_port, http_port, frame=SENSOR_MOUNTING, clock=clock)
+
+
+def _start_lines(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+    udp_port = config.udp_port if clock.is_simulated else None
+    return emulated_lines(fin, config.rate_hz, clock, udp_port=udp_port)
+
+
+def _start_topic(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+    # In real time, several emulated rigs may share this computer.
+    topic = config.topic if clock.is_simulated else None
+    return emulated_topic(fin, config.rate_hz, clock, topic=topic)
+
+
+DRIVES = {
+    "epos2": DriveEmulator(
+        {
+            "node": 1,
+            # 500 lines and a gear ratio of 111:1 match the steps of the tank's encoder.
+            "encoder_lines": 500,
+            "gear_ratio": 111.0,
+            "following_error_rad": 0.5,
+        },
+        lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
+    ),
+    "dynamixel": DriveEmulator(
+        {"port": "simulated", "model": "XM430-W350", "id": 1},
+        lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
+    ),
+}
+"""Emulated drives, by type."""
+
+SENSORS = {
+    "axia80": SensorEmulator({"address": LOOPBACK}, _start_axia80),
+    "lines": SensorEmulator(
+        {
+            "columns": ["count", "force_x", "force_y"],
+            "rate_hz": EMULATED_RATE_HZ,
+            "filter_delay_s": 0.0,
+            "address": LOOPBACK,
+            "udp_port": 47_470,
+        },
+        _start_lines,
+    ),
+    "ros2": SensorEmulator(
+        {"topic": "/emulated/wrench", "rate_hz": EMULATED_RATE_HZ, "filter_delay_s": 0.0},
+        _start_topic,
+    ),
+}
+"""Emulated force sensors, by type."""
+
+Emulator = TypeVar("Emulator", DriveEmulator, SensorEmulator)
+
+
+def find_emulator(emulators: Mapping[str, Emulator], name: str) -> Emulator:
+    """Return the emulator of a type of device; raises RigError."""
+    if name not in emulators:
+        raise RigError(f"type {name!r}: has no emulator; use one of {', '.join(emulators)}")
+    return emulators[name]
+
+
+def drive_config(
+    name: str, limits: Limits | None, acceleration_rad_s2: float | None, real_time: bool
+) -> DriveConfig:
+    """Return the configuration of an emulated drive with these command limits and this acceleration
+    [rad/s2]; raises RigError or ConfigurationError."""
+    kind = find_device(DriveType, name)
+    acceleration = acceleration_rad_s2 or 80.0
+    values = find_emulator(DRIVES, name).values | {
+        "type": name,
+        "acceleration_rad_s2": acceleration,
+        "quick_stop_rad_s2": max(80.0, acceleration),
+    }
+    if real_time:
+        values["heartbeat_s"] = 1.0
+    if limits is not None:
+        values |= {
+            "angle_min_rad": limits.angle_min,
+            "angle_max_rad": limits.angle_max,
+            "slowest_rad_s": limits.velocity_min,
+            "fastest_rad_s": limits.velocity_max,
+        }
+        # The emulated fin is zeroed where it rests.
+        if "zero_offset_rad" in kind.config.model_fields:
+            values["zero_offset_rad"] = limits.rest_angle
+        elif limits.rest_angle != 0:
+            raise ConfigurationError(
+                f"tank: its range of angles, {limits.angle_min:g} to {limits.angle_max:g} rad, "
+                f"must contain 0 for an emulated drive of type {name}; use --drive epos2"
+            )
+    config: DriveConfig = kind.config.build(values, "emulated drive")
+    return config
+
+
+def sensor_config(name: str) -> ForceSensorConfig:
+    """Return the configuration of an emulated sensor, mounted as `SENSOR_MOUNTING`; raises
+    RigError."""
+    kind = find_device(ForceSensorType, name)
+    values = find_emulator(SENSORS, name).values | {"type": name, "frame": SENSOR_MOUNTING}
+    config: ForceSensorConfig = kind.config.build(values, "emulated sensor")
+    return config

@@ -1,0 +1,62 @@
+"""An emulated sensor that sends lines, on a pseudo-terminal or over UDP on the loopback address.
+
+Each line contains a counter, force x and force y [N].
+"""
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.json_object import JsonObject
+from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.stream import EmulatedStream, Pty
+from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.machine import Wrench
+
+
+def emulated_lines(
+    fin: EmulatedFin, rate_hz: float, clock: Computer = COMPUTER, udp_port: int | None = 0
+) -> EmulatedStream:
+    """Return a sensor that sends to `udp_port`, to a free port if it is 0, and over a
+    pseudo-terminal if it is None."""
+    return EmulatedStream(LineLink(clock, udp_port), fin, rate_hz, clock)
+
+
+class LineLink:
+    """Lines over UDP or a pseudo-terminal."""
+
+    def __init__(self, clock: Computer, udp_port: int | None) -> None:
+        self.count = 0
+        """Latest counter; 0 after a restart of the sensor."""
+        self._pty = None if udp_port is not None else Pty()
+        self.socket = clock.udp_socket()
+        # Bound for a moment to find a free port.
+        self.socket.bind((LOOPBACK, udp_port or 0))
+        self._udp_port = int(self.socket.getsockname()[1])
+        self.socket.close()
+        self.socket = clock.udp_socket()
+
+    def address(self) -> JsonObject:
+        """Return the port, as in a rig's file."""
+        if self._pty is None:
+            return {"address": LOOPBACK, "udp_port": self._udp_port}
+        return {"port": self._pty.name, "address": None, "udp_port": None}
+
+    def description(self) -> str:
+        """Return the port."""
+        return ", ".join(f"{name} {value}" for name, value in self.address().items() if value)
+
+    def encode(self, age_s: float, wrench: Wrench) -> bytes:
+        """Return a line with the next count."""
+        self.count = (self.count + 1) % 2**32
+        return f"{self.count},{wrench[0]:.6f},{wrench[1]:.6f}\r\n".encode()
+
+    def send(self, record: bytes) -> None:
+        """Send a line, or a part of one."""
+        if self._pty is None:
+            self.socket.sendto(record, (LOOPBACK, self._udp_port))
+        else:
+            self._pty.send(record)
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+        self.socket.close()
+        if self._pty is not None:
+            self._pty.close()

@@ -1,0 +1,144 @@
+"""An emulated sensor that sends records of a fin's force at a constant rate, with noise."""
+
+import contextlib
+import os
+import select
+import threading
+import tty
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError
+from softfin.core.json_object import JsonObject
+from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.rig.machine import Wrench, rotated, rotation
+
+LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
+"""Noise of each channel by the number of the record [N, N m]; small, so that tests can compare
+forces."""
+
+
+class Link(Protocol):
+    """What carries the records, and their format."""
+
+    def address(self) -> JsonObject:
+        """Return where the records arrive, as in a rig's file."""
+
+    def description(self) -> str:
+        """Describe the address for the operator."""
+
+    def encode(self, age_s: float, wrench: Wrench) -> Any:
+        """Return a record with a wrench in the sensor's axes [N, N m], as `transmit` gets it;
+        `age_s` is the time from the start of the sensor to the record [s]."""
+
+    def send(self, record: Any) -> None:
+        """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+
+
+class EmulatedStream:
+    """Emulated sensor, running from construction until `close`; faults may be set from any
+    thread."""
+
+    def __init__(self, link: Link, fin: EmulatedFin, rate_hz: float, clock: Clock) -> None:
+        self.link = link
+        self.transmit: Callable[[Any], Iterable[Any]] = lambda record: (record,)
+        """Function that maps a record to those that arrive; tests may cut, double, lose, delay or
+        change records."""
+        self.rate_hz = rate_hz
+        self.are_values_frozen = False
+        self._fin = fin
+        self._clock = clock
+        self._rotation = rotation(SENSOR_MOUNTING).T
+        self._wrench: Wrench = (0.0,) * 6
+        self._silent_until = 0.0
+        self._closing = clock.event()
+        self._thread = clock.spawn(self._run, "emulated sensor")
+
+    def address(self) -> JsonObject:
+        """Return where the records arrive, as in a rig's file."""
+        return self.link.address()
+
+    def description(self) -> str:
+        """Describe the address for the operator."""
+        return self.link.description()
+
+    def remembered(self) -> JsonObject:
+        """Return nothing: softfin keeps the zero."""
+        return {}
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue; there is nothing to recall."""
+
+    def silence(self, seconds: float = float("inf")) -> None:
+        """Send nothing for a time [s]; 0 ends the silence."""
+        self._silent_until = self._clock() + seconds
+
+    def close(self) -> None:
+        """Stop the sensor; may be called repeatedly."""
+        self._closing.set()
+        self._thread.join()
+        self.link.close()
+
+    def _run(self) -> None:
+        for number in _iterate_due(self._clock, self._closing, lambda: self.rate_hz):
+            if not self.are_values_frozen:
+                noise = LOAD_NOISE[number % len(LOAD_NOISE)]
+                load = rotated(self._fin.now().wrench, self._rotation) + noise
+                self._wrench = tuple(load.tolist())
+            record = self.link.encode((number + 1) / self.rate_hz, self._wrench)
+            if self._clock() < self._silent_until:
+                continue
+            for sent in self.transmit(record):
+                # A slow reader, or none, must not end the sensor.
+                with contextlib.suppress(OSError, DeviceError):
+                    self.link.send(sent)
+
+
+def _iterate_due(
+    clock: Clock, closing: threading.Event, rate_hz: Callable[[], float]
+) -> Iterator[int]:
+    """Yield the numbers of the records that have become due, at a rate that may change, until
+    `closing` is set; record k is due (k + 1) / rate after the start."""
+    started = clock()
+    sent = 0
+    while not closing.wait(max(0.002, 1 / rate_hz())):
+        due = int((clock() - started) * rate_hz())
+        yield from range(sent, due)
+        sent = due
+
+
+class Pty:
+    """A pseudo-terminal; its other end is the serial port."""
+
+    def __init__(self) -> None:
+        self._own, self._other = os.openpty()
+        tty.setraw(self._other)
+        os.set_blocking(self._own, False)
+        self.name = os.ttyname(self._other)
+        self.is_open = True
+
+    def receive(self, wait_s: float) -> bytes:
+        """Wait for bytes for up to `wait_s` [s]."""
+        with contextlib.suppress(OSError, ValueError):
+            if self.is_open and select.select([self._own], [], [], wait_s)[0]:
+                return os.read(self._own, 4096)
+        return b""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; those that nobody reads are lost, as on a real port."""
+        with contextlib.suppress(OSError):
+            if self.is_open:
+                os.write(self._own, data)
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+        if self.is_open:
+            self.is_open = False
+            os.close(self._own)
+            os.close(self._other)

@@ -1,0 +1,143 @@
+"""The virtual tank as the fin of emulated devices; it advances with the clock.
+
+Motion and force are interpolated between samples of 10 ms, so all readings are one sample old.
+"""
+
+import math
+import threading
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
+from softfin.core.plant import rest_command
+from softfin.core.quantities import TICK_S, Command, Reading
+from softfin.emulation.fin import COAST_RAD_S2, FinMotion
+from softfin.tank import Tank
+from softfin.tank.drive import AMPERE_PER_NM
+
+
+class TankFin:
+    """A virtual tank that implements the `EmulatedFin` protocol."""
+
+    def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
+        self.tank = tank
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._state: PyTree = self.tank.init(jax.random.key(seed))
+        self._command = rest_command(self.tank.limits)
+        # Two steps, so that everything is compiled before the first reading.
+        self._before = self._after = self._step()
+        self._before = self._after
+        self._after = self._step()
+        self._time = clock()
+        self._latest: tuple[float, FinMotion] | None = None
+
+    def remembered(self) -> JsonObject:
+        """Return the complete state, for JSON."""
+        with self._lock:
+            self._catch_up()
+            leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
+            return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue from a saved state; raises ValueError if it is from another tank."""
+        with self._lock:
+            plain = self._plain()
+            now, tree = jax.tree.flatten((plain, self._before, self._after))
+            held = (*remembered["state"], remembered["before"], remembered["after"])
+            then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
+            if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
+                raise ValueError("state of another tank")
+            plain, self._before, self._after = jax.tree.unflatten(tree, then)
+            state, self._command = jax.tree.map(jnp.asarray, plain)
+            self._state = state._replace(key=jax.random.wrap_key_data(state.key))
+            self._time = self._clock()
+            self._latest = None
+
+    def move(self, angle: float, velocity: float) -> None:
+        """Move to an angle [rad], clamped to the limits of the tank's drive, as a real drive would
+        do."""
+        limits = self.tank.limits
+        with self._lock:
+            self._catch_up()
+            self._command = Command(
+                jnp.float32(min(max(angle, limits.angle_min), limits.angle_max)),
+                jnp.float32(min(max(velocity, limits.velocity_min), limits.velocity_max)),
+            )
+
+    def halt(self) -> None:
+        """Brake along the steepest ramp: move to the angle at which the fin can stop."""
+        with self._lock:
+            self._catch_up()
+            angle = self._after[0]
+            velocity = self._after[1]
+            self.move(
+                # Braking distance: v^2 / (2 a).
+                angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
+                math.inf,
+            )
+
+    def coast(self) -> None:
+        """Move as far as the fin would coast. The tank's drive has a single ramp, so the fin keeps
+        its velocity until shortly before the end."""
+        with self._lock:
+            self._catch_up()
+            angle = self._after[0]
+            velocity = self._after[1]
+            self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
+
+    def now(self) -> FinMotion:
+        """Return the motion and force one sample ago."""
+        with self._lock:
+            now = self._clock()
+            # Drive and sensor call this many times at the same time.
+            if self._latest is None or self._latest[0] != now:
+                self._catch_up()
+                part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
+                angle, velocity, demand, torque, x, y = (
+                    (1 - part) * self._before + part * self._after
+                ).tolist()
+                wrench = (x, y, 0.0, 0.0, 0.0, 0.0)
+                self._latest = (
+                    now,
+                    FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, wrench),
+                )
+            return self._latest[1]
+
+    def _plain(self) -> tuple[Any, Command]:
+        """Return state and command, with the random key as plain numbers."""
+        return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
+
+    def _catch_up(self) -> None:
+        now = self._clock()
+        while now - self._time > TICK_S:
+            self._before = self._after
+            self._after = self._step()
+            self._time += TICK_S
+
+    def _step(self) -> np.ndarray:
+        self._state, sample = _tick(self.tank, self._state, self._command)
+        return np.asarray(sample, float)
+
+
+@jax.jit
+def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[Any, Any]:
+    """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
+    (x, y) as one array."""
+    state, reading = tank.advance(state, command, 1)
+    read: Reading = jax.tree.map(lambda x: x[0], reading)
+    drive = state.drive
+    sample = [
+        read.angle,
+        read.velocity,
+        drive.profile_angle,
+        drive.torque,
+        read.force[0],
+        read.force[1],
+    ]
+    return state, jnp.stack([jnp.asarray(value) for value in sample])

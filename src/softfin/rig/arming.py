@@ -1,0 +1,117 @@
+"""The operator at the terminal: confirms that a real fin may move, and stops it with Enter."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple, TextIO
+
+from softfin.core.errors import ConfigurationError
+from softfin.core.printable import printable
+from softfin.rig.robot_setup import RobotSetup
+from softfin.rig.stop import StopRequest, discard_typed_ahead, listen_to_keyboard
+
+WORD = "move"
+"""Word that the operator types to let the fin move."""
+
+
+class Arming(NamedTuple):
+    """Whether a real fin may move."""
+
+    arm: bool = False
+    """Allow the real fin to move, after the operator confirms on the terminal."""
+    yes: bool = False
+    """With `arm`, skip the confirmation."""
+
+    def confirm(
+        self, robot: RobotSetup, motion: str | None = None, needs_proof: bool = True
+    ) -> None:
+        """Print an open machine's notes and ask the operator to confirm the motion.
+
+        `motion` describes the motion if the machine does not follow commands. `needs_proof` also
+        requires `RobotSetup.check_ready` to pass. Raises ConfigurationError if the operator does
+        not confirm the motion, and RigError if the rig is not ready.
+        """
+        name = robot.machine.name
+        for note in robot.machine.notes:
+            sys.stderr.write(f"note: {printable(note)}\n")
+        if not self.arm:
+            state = "connected, but not armed" if motion is None else "not armed"
+            raise ConfigurationError(f"{name}: {state}; nothing moves without --arm")
+        if needs_proof:
+            robot.check_ready()
+        if self.yes:
+            return
+        if not on_terminal():
+            raise ConfigurationError(
+                f"{name}: --arm needs a terminal for the confirmation; in a script, add --yes"
+            )
+        limits = robot.machine.limits
+        motion = motion or (
+            f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
+            f"up to {limits.velocity_max:.2f} rad/s"
+        )
+        # Enter pressed before the prompt must not count as an answer.
+        discard_typed_ahead()
+        sys.stderr.write(
+            f"{printable(name)}: {motion}.\n"
+            f"Press Ctrl-C to stop it. Hands clear? Type {WORD!r} and press Enter: "
+        )
+        sys.stderr.flush()
+        if sys.stdin.readline().strip() != WORD:
+            raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")
+
+
+class KeyboardStop:
+    """Stops a stage when the operator presses Enter, once the motion is confirmed."""
+
+    def __init__(self, arming: Arming) -> None:
+        self.stop = StopRequest()
+        """Stop request that Enter triggers."""
+        self._arming = arming
+
+    def confirm(self, robot: RobotSetup) -> None:
+        """Ask whether the fin may move, then listen for Enter; raises ConfigurationError if it may
+        not."""
+        self._arming.confirm(robot)
+        listen_on_terminal(
+            self.stop, lambda _: say("the commands are fixed; press Enter alone to stop the fin")
+        )
+
+
+def on_terminal() -> bool:
+    """Whether an operator can answer: standard input exists and is a terminal."""
+    # sys.stdin is None if its descriptor is closed, although its declared type excludes that.
+    given: TextIO | None = sys.stdin
+    return given is not None and given.isatty()
+
+
+def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
+    """Request a stop on Enter or when the terminal's input ends; call `line` with any other
+    input."""
+    if on_terminal() and not _in_background():
+        listen_to_keyboard(stop, line, typed(stop, sys.stdin))
+
+
+def _in_background() -> bool:
+    """Whether this is a background job (&): reading would suspend it, in the middle of a motion."""
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
+    except OSError:
+        # A terminal that does not control this session has no job control.
+        return False
+
+
+def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
+    """Yield the lines typed on the terminal. If they end or are not text, request an emergency
+    stop, because no key can stop the fin any more."""
+    with contextlib.suppress(OSError, ValueError):
+        yield from terminal
+    stop.ask(
+        "emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin"
+    )
+
+
+def say(text: str) -> None:
+    """Print a line on the terminal."""
+    sys.stderr.write(printable(text) + "\n")

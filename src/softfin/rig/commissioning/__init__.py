@@ -1,1 +1,0 @@
-"""Commissioning of a real rig: eight signed steps before you rely on it (docs/commissioning.md)."""

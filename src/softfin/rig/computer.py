@@ -1,0 +1,144 @@
+"""The computer that runs the drivers: its clock, and the ports that lead to its devices.
+
+Emulated devices in simulated time are behind the ports of another one,
+`softfin.emulation.clock.SimulatedClock`.
+"""
+
+import socket
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError, one_line
+from softfin.rig.bus import BusConfig
+from softfin.rig.web_page import fetch_page
+
+if TYPE_CHECKING:
+    import can
+
+    from softfin.rig.ros2.config import TransportConfig
+    from softfin.rig.ros2.connection import Transport
+
+Address = tuple[str, int]
+"""Host and port."""
+
+
+class UdpSocket(Protocol):
+    """The methods of a UDP socket that softfin uses."""
+
+    def bind(self, address: Address, /) -> None:
+        """Choose the socket's own address."""
+
+    def connect(self, address: Address, /) -> None:
+        """Set the only address to send to and receive from."""
+
+    def setsockopt(self, level: int, option: int, value: int, /) -> None:
+        """Set an option."""
+
+    def settimeout(self, seconds: float | None, /) -> None:
+        """Set the longest wait for a datagram [s]; 0 for none."""
+
+    def send(self, data: bytes, /) -> int:
+        """Send to the connected address."""
+
+    def sendto(self, data: bytes, address: Address, /) -> int:
+        """Send to an address."""
+
+    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
+        """Return a datagram and its sender."""
+
+    def recvmsg(self, size: int, ancillary: int, /) -> tuple[bytes, list[Any], int, Any]:
+        """Return a datagram, what the kernel adds to it, flags, and its sender."""
+
+    def getsockname(self) -> Any:
+        """Return the socket's own address."""
+
+    def fileno(self) -> int:
+        """Return -1 if the socket is closed."""
+
+    def close(self) -> None:
+        """Close; may be called repeatedly."""
+
+
+class SerialPort(Protocol):
+    """The members of pyserial's ports that softfin uses."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that have arrived."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return bytes, fewer than `size` after the port's timeout."""
+
+    def write(self, data: bytes, /) -> object:
+        """Send bytes."""
+
+    def set_low_latency_mode(self, is_low: bool, /) -> None:
+        """Ask the adapter to pass bytes on at once; raises an error if it cannot."""
+
+    def close(self) -> None:
+        """Close; may be called repeatedly."""
+
+
+class Computer(Clock):
+    """The computer's clock and ports."""
+
+    def open_bus(self, config: BusConfig) -> "can.BusABC":
+        """Open a CAN bus; raises python-can's errors."""
+        # Imported here because only drives on a bus need it.
+        import can
+
+        settings = config.model_dump()
+        return can.Bus(**settings.pop("options"), **settings)
+
+    def open_serial_port(
+        self,
+        port: str,
+        baud: int,
+        *,
+        timeout_s: float,
+        write_timeout_s: float | None = None,
+        exclusive: bool = True,
+    ) -> SerialPort:
+        """Open a serial port; raises DeviceError.
+
+        A read waits for up to `timeout_s`, a write for up to `write_timeout_s` (None: without
+        limit). With `exclusive`, no other program may use the port.
+        """
+        # Imported here because it belongs to the extra `serial`, which not every rig needs.
+        import serial
+
+        try:
+            return cast(
+                SerialPort,
+                serial.Serial(
+                    port,
+                    baud,
+                    timeout=timeout_s,
+                    write_timeout=write_timeout_s,
+                    exclusive=exclusive,
+                ),
+            )
+        except (OSError, ValueError) as error:
+            raise DeviceError(
+                f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
+                "and your permission to use it, and end other programs that use it"
+            ) from None
+
+    def udp_socket(self) -> UdpSocket:
+        """Return a new UDP socket."""
+        return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def fetch_page(self, host: str, port: int, path: str) -> bytes | None:
+        """Return a device's web page; None if the device does not have it."""
+        return fetch_page(host, port, path)
+
+    def open_topics(self, config: "TransportConfig") -> "Transport":
+        """Connect to ROS 2 topics; raises RigError."""
+        # Imported here because only devices behind topics need it.
+        from softfin.rig.ros2.plant import open_transport
+
+        return open_transport(config)
+
+
+COMPUTER = Computer()
+"""The computer of every real rig."""

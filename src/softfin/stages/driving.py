@@ -1,0 +1,320 @@
+"""Let a controller drive a real fin: with live or recorded references, or as a ROS 2 node; no
+JAX."""
+
+import functools
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from softfin.control.controller import LoadedController
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.references import resolve_reference
+from softfin.control.store import load_controller
+from softfin.core.configuration import configure
+from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.json_object import JsonObject
+from softfin.core.option_types import (
+    CONTROLLER,
+    FILE,
+    FORCE,
+    HIDDEN,
+    PLANT,
+    Config,
+    Force,
+    PathLike,
+)
+from softfin.core.quantities import RATE_HZ
+from softfin.core.result import Result
+from softfin.gaits.reachable import force_decimals
+from softfin.rig.arming import Arming, listen_on_terminal, say
+from softfin.rig.loop import (
+    ActionResult,
+    LiveReference,
+    ReferenceSource,
+    recorded_reference,
+    run_controller,
+)
+from softfin.rig.machine import machine_clock
+from softfin.rig.robot_setup import RobotSetup
+from softfin.rig.ros2.config import NodeConfig, TransportConfig
+from softfin.rig.safety import Guard
+from softfin.rig.session import Observer, Session, mean_force
+from softfin.rig.stop import StopRequest
+from softfin.stages.machines import find_robot
+from softfin.storage import artifact as artifacts
+from softfin.storage.paths import check_reference_file
+
+
+class Drive(NamedTuple):
+    """A controller that drives a real fin, and how long and where to it is recorded."""
+
+    controller: LoadedController
+    robot: RobotSetup
+    arming: Arming
+    seconds: int | None
+    bag: Path | None
+    trim: bool
+
+    @classmethod
+    def prepare(
+        cls,
+        controller: PathLike,
+        plant: str,
+        arming: Arming,
+        seconds: int | None,
+        bag: PathLike | None,
+        trim: bool,
+        overwrite: bool,
+    ) -> "Drive":
+        """Load the controller and the machine and check that they match; nothing is opened yet."""
+        if seconds is not None and seconds < 1:
+            raise ConfigurationError(
+                f"--seconds {seconds}: must be at least 1; omit it to run until you stop it"
+            )
+        if bag is not None:
+            bag = Path(bag)
+            if bag.suffix != ".mcap":
+                raise ConfigurationError(f"--bag {bag}: must end in .mcap")
+            artifacts.check_file(bag, overwrite, "--bag")
+        loaded = load_controller(Path(controller))
+        robot = find_robot(plant)
+        robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
+        return cls(loaded, robot, arming, seconds, bag, trim)
+
+    def run(
+        self,
+        references: ReferenceSource,
+        line: Callable[[str], None],
+        stop: StopRequest | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> Result:
+        """Ask for confirmation, then move and record.
+
+        `line` is called with each line typed in the meantime. Returns the path of the recording and
+        the errors over its last window.
+        """
+        machine = self.robot.machine
+        bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+        training_range = self.controller.artifact.training_range
+        guard = Guard(self.robot.safety, machine.limits, training_range)
+        stop = stop or StopRequest()
+        with Session(machine, guard, stop=stop, observers=observers, warn=say) as session:
+            self.arming.confirm(self.robot)
+            if not any(training_range or ()):
+                say(
+                    "controller: no training range stored, so softfin cannot detect when the fin "
+                    "leaves it"
+                )
+            listen_on_terminal(stop, line)
+            # Only now, after the confirmation, is an existing recording replaced.
+            bag.unlink(missing_ok=True)
+            session.stop_on_signals()
+            with session.recording(bag):
+                session.activate()
+                zero = session.rest(self.robot.settle_s)
+                summary = self._follow(session, references, zero)
+                session.deactivate()
+        result = {
+            "bag": str(bag),
+            **summary,
+            "clock": session.pace.to_dict(),
+            "counters": machine.counters(),
+        }
+        text = (
+            f"{bag}: {result['seconds']:.1f} s, error over the last {result['window_s']:g} s "
+            f"({result['error_x_n']}, {result['error_y_n']}) N"
+        )
+        return Result(result, text)
+
+    def _follow(self, session: Session, references: ReferenceSource, zero: Force) -> JsonObject:
+        """Run the controller and print one line per second; returns the errors over the last
+        window."""
+        controller = DisturbanceObserver(self.controller) if self.trim else self.controller
+        reachable = controller.reachable
+        decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
+        window: list[ActionResult] = []
+        ticks = printed = 0
+        clock = controller.clock
+        actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
+        for result in run_controller(session, controller, references, actions, zero):
+            window = [*window, result][-clock.window_actions :]
+            x, y = mean_force([sample for each in window for sample in each.samples])
+            x = x - zero[0]
+            y = y - zero[1]
+            ticks += len(result.samples)
+            if ticks - printed >= RATE_HZ:
+                printed = ticks
+                reference = ", ".join(f"{force:+.{decimals}f}" for force in result.reference)
+                mean = ", ".join(f"{force:+.{decimals + 1}f}" for force in (x, y))
+                line = (
+                    f"{ticks / RATE_HZ:7.1f} s  reference ({reference}) N  "
+                    f"mean over {clock.window_ticks / RATE_HZ:g} s ({mean}) N  "
+                    f"angle {result.samples[-1].angle:+.2f} rad"
+                )
+                try:
+                    say(line)
+                except OSError as error:
+                    # The terminal was closed, or the program that reads the output has exited.
+                    session.stop_request.ask(
+                        "emergency_stop", f"nobody reads the output any more ({error.strerror})"
+                    )
+        last = window[-1].reference
+        errors = [abs(mean - asked) for mean, asked in zip((x, y), last, strict=True)]
+        return {
+            "seconds": ticks / RATE_HZ,
+            "window_s": clock.window_ticks / RATE_HZ,
+            "error_x_n": round(errors[0], 4),
+            "error_y_n": round(errors[1], 4),
+        }
+
+
+def run(
+    controller: Annotated[PathLike, CONTROLLER],
+    *,
+    plant: Annotated[str, PLANT] = "rig",
+    reference: Annotated[Force | None, FORCE] = None,
+    reference_file: Annotated[PathLike | None, FILE] = None,
+    seconds: int | None = None,
+    bag: Annotated[PathLike | None, FILE] = None,
+    strict: bool = False,
+    trim: bool = False,
+    arm: bool = False,
+    yes: bool = False,
+    overwrite: bool = False,
+) -> Result:
+    """Hold reference forces on the real fin. While it runs, type X,Y and Enter for a new reference,
+    or Enter alone to stop.
+
+    Args:
+        controller: Controller folder.
+        plant: The fin: rig or ros2, optionally followed by :FILE.
+        reference: First reference force [N], such as --reference=1,-0.5.
+        reference_file: Recorded reference to use instead: .csv or .parquet with the columns time_s,
+            force_x_n, force_y_n. Each row holds until the next one.
+        seconds: Duration [s] (default: until you stop it).
+        bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
+        strict: Reject unreachable references instead of tracking the nearest reachable one.
+        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        arm: Allow the real fin to move, after you confirm on the terminal.
+        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
+            the fin.
+        overwrite: Replace an existing recording.
+
+    Returns:
+        Path of the recording, and the errors over its last window.
+
+    Raises:
+        SafetyStop: The fin was stopped.
+    """
+    if (reference is None) == (reference_file is None):
+        raise ConfigurationError("use either --reference=X,Y or --reference-file FILE")
+    if reference_file is not None:
+        check_reference_file(Path(reference_file))
+    drive = Drive.prepare(controller, plant, Arming(arm, yes), seconds, bag, trim, overwrite)
+
+    def resolve(force: Force) -> tuple[Force, str | None]:
+        return resolve_reference(drive.controller, force, strict)
+
+    if reference is not None:
+        live = LiveReference(reference, resolve, say)
+        return drive.run(live, live.set_from_text)
+    assert reference_file is not None, "checked above"
+    # Imported here, because reading the file needs packages that a robot may lack.
+    from softfin.task.signals import read_reference_file
+
+    rows = read_reference_file(Path(reference_file))
+    forces = [(float(x), float(y)) for x, y in rows.force_n]
+    recorded = recorded_reference(rows.time_s, forces, resolve, say)
+    line = "references come from the file; press Enter alone to stop the fin"
+    return drive._replace(seconds=seconds or rows.seconds).run(recorded, lambda _: say(line))
+
+
+def ros2(
+    controller: Annotated[PathLike, CONTROLLER],
+    *,
+    plant: Annotated[str, PLANT] = "rig",
+    reference: Annotated[Force, FORCE],
+    fin: str | None = None,
+    seconds: int | None = None,
+    bag: Annotated[PathLike | None, FILE] = None,
+    strict: bool = False,
+    trim: bool = False,
+    config: Config = None,
+    connection: Annotated[TransportConfig | None, HIDDEN] = None,
+    arm: bool = False,
+    yes: bool = False,
+    overwrite: bool = False,
+) -> Result:
+    """Run as a ROS 2 node: hold the reference force from a topic on the real fin, and publish every
+    sample. Enter or a topic stops the fin.
+
+    Topics, frames and timeouts are options too, e.g. --joint-topic /NAME; see docs/ros2.md.
+
+    Args:
+        controller: Controller folder.
+        plant: The fin: rig or ros2, optionally followed by :FILE.
+        reference: Reference force [N] while the topic has no recent message, such as
+            --reference=1,-0.5.
+        fin: Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so
+            on. It stops when references stop arriving.
+        seconds: Duration [s] (default: until you stop it).
+        bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
+        strict: Reject unreachable references instead of tracking the nearest reachable one.
+        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        config: `NodeConfig`; its fields are options too.
+        connection: How to reach other nodes.
+        arm: Allow the real fin to move, after you confirm on the terminal.
+        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
+            the fin.
+        overwrite: Replace an existing recording.
+
+    Returns:
+        Path of the recording, and the errors over its last window.
+
+    Raises:
+        SafetyStop: The fin was stopped.
+    """
+    from softfin.rig.ros2.node import RosNode, default_reference_limit
+    from softfin.rig.ros2.plant import Ros2Machine, open_transport
+
+    defaults = NodeConfig() if fin is None else NodeConfig.of_fin(fin)
+    topics = configure(defaults, config, connection=typed_fields(connection))
+    drive = Drive.prepare(controller, plant, Arming(arm, yes), seconds, bag, trim, overwrite)
+    machine = drive.robot.machine
+    if machine_clock(machine).is_simulated:
+        raise RigError(
+            f"{machine.name}: emulated in simulated time, which does not work with topics; start "
+            "softfin rig emulate --real-time"
+        )
+    if isinstance(machine, Ros2Machine):
+        machine.config.check_apart(topics)
+    otherwise, warning = resolve_reference(drive.controller, reference, strict)
+    # Opened before the machine, so that problems with ROS 2 appear before anything moves.
+    transport = open_transport(topics.connection)
+    try:
+        node = RosNode(
+            transport,
+            topics,
+            say,
+            lambda asked: resolve_reference(drive.controller, asked, strict),
+            default_limit_n=default_reference_limit(drive.controller),
+        )
+        for note in (*transport.notes, *([] if warning is None else [warning])):
+            say(note)
+        stop = StopRequest()
+        result = drive.run(
+            lambda _: node.reference() or otherwise,
+            lambda _: say("references come from the topic; press Enter alone to stop the fin"),
+            stop,
+            (functools.partial(node.observe, stop),),
+        )
+        result["counters"] |= node.counters()
+    finally:
+        transport.close()
+    return result
+
+
+def typed_fields(connection: TransportConfig | None) -> JsonObject | None:
+    """Return the fields of a connection that were set; None if there are none."""
+    return None if connection is None else connection.model_dump(exclude_unset=True)
