@@ -53,7 +53,7 @@ test-long: setup ## all tests, with more cases of each kind and twenty minutes o
 	SOFTFIN_LONG=1 $(REAL_TIME)
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
-	$(RUN) --extra ray pytest -n auto --dist load -rs tests/stages/test_ray_training.py
+	$(RUN) --extra ray pytest -rs tests/stages/test_ray_training.py
 
 mutants: setup ## change the code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1 MODULES=rig
 	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES)) \

@@ -1,7 +1,7 @@
 """How long to record: free-running error against minutes of tank time.
 
     python -m studies.data_efficiency RUN                                            # all of it: hours on two cores
-    python -m studies.data_efficiency RUN --minutes 2,5,10 --set members=3 --set force_updates=800
+    python -m studies.data_efficiency RUN --minutes 2,5,10 --members 3 --force-updates 800
 
 Every recording, fit and score has a place of its own under RUN and is left out where it is there
 already: the same command goes on after a stop, and sizes, seeds and models can be added one after
@@ -19,8 +19,8 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 from matplotlib.ticker import LogLocator
-
 from softfin.cli.options import HelpRequested, Option, format_help, parse
+
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import named_key

@@ -39,10 +39,10 @@ TINY = {
     + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
     "train": "--config train.yaml",
     "train --range": "--range reach",
-    "train --set": "--set ppo.num_envs=2 --set ppo.num_epochs=1 --steps 6",
+    "train --set": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
-    "evaluate --error-map": "--set error_map=2",
+    "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
     "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -53,8 +53,8 @@ ones count."""
 
 IN_THE_README = {
     # Fitted well enough that the forces exceed their noise, and mapped wherever they lie.
-    "fit": "--set force_updates=200",
-    "map": "--config map.yaml --set box=null --set spacing_n=null --set nodes=4",
+    "fit": "--force-updates 200",
+    "map": "--config map.yaml --box null --spacing-n null --nodes 4",
     "evaluate": "--plant tank.yaml",
     "rig --arm": "--yes",
     "run --arm": "--yes --seconds 1",
@@ -107,7 +107,7 @@ def runs(shown: Shown) -> bool:
     )
 
 
-def options(shown: Shown) -> set[tuple[str, str]]:
+def used_options(shown: Shown) -> set[tuple[str, str]]:
     """Those of a command, which itself counts as one."""
     words = softfin_words(shown)
     command = command_name(words)
@@ -122,13 +122,13 @@ AWAY = (*IN_THE_DAY, *ELSEWHERE)
 def first_of_each_option() -> list[Shown]:
     """The longest commands, until each option of each command has run; that the others are
     understood is looked at in test_documentation.py."""
-    ran = set().union(*map(options, README))
+    ran = set().union(*map(used_options, README))
     chosen = []
     lines = {shlex.join(softfin_words(shown)): shown for shown in commands() if runs(shown)}
     for line in sorted(lines.keys() - set(AWAY), key=lambda line: (-len(line.split()), line)):
-        if not options(lines[line]) <= ran:
+        if not used_options(lines[line]) <= ran:
             chosen.append(lines[line])
-            ran |= options(lines[line])
+            ran |= used_options(lines[line])
     return chosen
 
 

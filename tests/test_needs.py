@@ -22,7 +22,7 @@ def test_what_is_missing_skips_a_test_unless_it_is_required(listed):
 
 def test_what_is_not_listed_may_be_missing(listed):
     with pytest.raises(pytest.skip.Exception):
-        needs.give_up("ray", "the extra ray is not installed")
+        needs.give_up("published", "the published files are not here")
 
 
 def test_a_module_that_is_there_is_imported_and_another_one_is_missing(monkeypatch):
@@ -46,6 +46,6 @@ def test_continuous_integration_requires_all_of_it():
     (listed,) = re.findall(
         r"^export SOFTFIN_REQUIRE=\$\{SOFTFIN_REQUIRE-(.*)\}$", text, re.MULTILINE
     )
-    # Ray, which has a run of its own.
+    # Ray has a job of its own.
     assert {*listed.split(), "ray"} == set(needs.NAMES)
     assert 'SOFTFIN_REQUIRE="$SOFTFIN_REQUIRE ray" make test-ray' in text

@@ -128,9 +128,9 @@ def perturbed_tank_logs(seed: int) -> Step:
     return step(f"perturbed-{seed}", command, 1, seed, "--test-logs 2 --rows 1500")
 
 
-TINY_NETS = "--set members=2 --set drive_updates=2 --set force_updates=2 --set batch=8"
-TINY_MAP = "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 --set spacing_n=1"
-TINY_TRAINING = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8 --steps 960"
+TINY_NETS = "--members 2 --drive-updates 2 --force-updates 2 --batch 8"
+TINY_MAP = "--gaits.steps 6 --survey.directions 8 --survey.pushes 0 --spacing-n 1"
+TINY_TRAINING = "--num-evaluations 1 --policy.units 8 --policy.width 8 --steps 960"
 
 
 def streaming(seed: int) -> Step:
@@ -143,23 +143,21 @@ def streaming(seed: int) -> Step:
 def paper(seed: int) -> Step:
     """Fit of the paper's nets on the same rows."""
     command = f"softfin fit dataset-{seed} --model paper --seed {seed}"
-    return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --set batch=64")
+    return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --batch 64")
 
 
-PAPER_BOX = "--set 'box={low: [0.5, -1.5], high: [3.5, 1.5]}' --set spacing_n=0.55"
+PAPER_BOX = "--box '{low:' [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
 """Gaits over the paper's range of references only."""
 
 POLICIES = {
     "single": ("--controller single", 1.5),
     "grid": ("--controller grid", 2),
     "single-ppo": (
-        "--controller single --range paper --steps 30000 --set ppo.num_envs=32 "
-        "--set ppo.num_epochs=8",
+        "--controller single --range paper --steps 30000 --ppo.num-envs 32 --ppo.num-epochs 8",
         0.7,
     ),
     "grid-ppo": (
-        "--controller grid --range paper --steps 10000 --set ppo.num_envs=16 "
-        "--set ppo.num_epochs=10",
+        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 --ppo.num-epochs 10",
         1,
     ),
 }

@@ -237,7 +237,7 @@ def choices(seeds: Sequence[int]) -> Part:
     """Lattices of gaits, in the published surrogate."""
     coarse = step(
         "coarse-gaits-published",
-        f"softfin map published {PAPER_BOX} --set gaits.halvings=0",
+        f"softfin map published {PAPER_BOX} --gaits.halvings 0",
         1,
         tiny=TINY_MAP,
     )

@@ -107,8 +107,8 @@ def data_efficiency(seeds: Sequence[int]) -> Part:
     command = (
         "python -m studies.data_efficiency efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
     )
-    command += "--set members=3 --set drive_updates=300 --set force_updates=800"
-    tiny = "--minutes 2 --set members=2 --set force_updates=2 --set drive_updates=2"
+    command += "--members 3 --drive-updates 300 --force-updates 800"
+    tiny = "--minutes 2 --members 2 --force-updates 2 --drive-updates 2"
     runs = [step(f"efficiency-{seed}", command.format(seed), 12, seed, tiny) for seed in seeds]
     every = " ".join(names_of(runs))
     drawn = step("efficiency", f"python -m results.scripts efficiency efficiency {every}", 0.5)
@@ -136,10 +136,7 @@ def tank(seeds: Sequence[int]) -> Part:
         "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml "
         "--evaluations 0"
     )
-    tiny = (
-        "--set segments=10 --set test_segments=2 --set segment_s=6 --set iterations=1 --set "
-        "step=0.3"
-    )
+    tiny = "--segments 10 --test-segments 2 --segment-s 6 --iterations 1 --set step=0.3"
     fitted = step("calibration", command, 30, tiny=tiny)
     judged = step(
         "tank-r2",

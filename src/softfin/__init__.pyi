@@ -6,12 +6,14 @@ from .core.quantities import Log as Log
 from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
+from .doctor import doctor as doctor
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
 from .stages.collect import collect as collect
+from .stages.controllers import export as export
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
 from .stages.evaluation import evaluate as evaluate
@@ -19,10 +21,10 @@ from .stages.example import write_example as write_example
 from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
+from .stages.logs import recover_recording as recover_recording
 from .stages.ray_training import train_on_ray as train_on_ray
+from .stages.reproduce import demo as demo
 from .stages.reproduce import reproduce as reproduce
-from .stages.reproduce_config import PRESETS as PRESETS
-from .stages.reproduce_config import ReproduceConfig as ReproduceConfig
 from .stages.surrogates import calibrate as calibrate
 from .stages.surrogates import fit as fit
 from .storage.dataset import Dataset as Dataset

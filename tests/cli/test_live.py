@@ -2,8 +2,8 @@ import io
 
 import pytest
 
-from softfin.cli.common import Armed
 from softfin.core.errors import ConfigurationError
+from softfin.rig.arming import Arming
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from tests.rig.machines import FreeFin
@@ -22,7 +22,7 @@ class Typed(io.StringIO):
 
 def confirm(monkeypatch, text="", terminal=True, **options):
     monkeypatch.setattr("sys.stdin", Typed(text, terminal))
-    Armed(**options).confirm(BENCH)
+    Arming(**options).confirm(BENCH)
 
 
 def test_nothing_moves_without_arm_whatever_else_is_said(monkeypatch):

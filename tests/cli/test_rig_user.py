@@ -7,11 +7,10 @@ import sys
 import pytest
 import yaml
 
-from softfin.cli import driving
-from softfin.cli.common import Armed
 from softfin.cli.output import progress
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
+from softfin.rig.arming import Arming
 from softfin.rig.config import RigConfig
 from softfin.rig.loop import ActionResult
 from softfin.rig.machine import Sample, Target
@@ -19,11 +18,14 @@ from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
+from softfin.stages import driving
 from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_option
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import simulated
+
+BENCH = RobotSetup(FreeFin(), SafetyConfig())
 
 
 @pytest.fixture(scope="module")
@@ -103,9 +105,9 @@ def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     with pytest.raises(
         ConfigurationError, match="rig of emulated: not armed; nothing moves without --arm"
     ):
-        Armed().confirm(robot, "the motor is powered")
+        Arming().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
-    Armed(arm=True).confirm(robot, "the motor is powered")
+    Arming(arm=True).confirm(robot, "the motor is powered")
     said = capsys.readouterr().err
     assert "rig of emulated: the motor is powered.\nPress Ctrl-C" in said
     assert "will move" not in said
@@ -126,7 +128,8 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), (0.0, 0.0), 1)
+    drive = driving.Drive(load_controller(controller), BENCH, Arming(), 1, None, trim=False)
+    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0))
     assert session.stop_request.trip == (
         "emergency_stop",
         "nobody reads the output any more (Broken pipe)",
@@ -142,8 +145,8 @@ def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
     monkeypatch.setattr(driving, "run_controller", lambda *_: map(held, forces))
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    loaded = load_controller(controller)
-    result = driving._follow(session, loaded, lambda at: (1.0, 0.0), (0.0, 0.0), None)
+    drive = driving.Drive(load_controller(controller), BENCH, Arming(), None, None, trim=False)
+    result = drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0))
     assert result["error_x_n"] == pytest.approx(0.5)
     assert result["window_s"] == 2
 

@@ -18,7 +18,6 @@ import signal
 import sys
 
 from softfin import cli
-from softfin.cli.common import Armed, Common
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from tests.rig.machines import FreeFin, Hours
@@ -42,21 +41,20 @@ def interrupted(call):
     return instead
 
 
-class Run(Armed, Common):
-    def __call__(self):
-        machine = FreeFin(Hours())
-        try:
-            with Session(machine, Guard(SafetyConfig(), machine.limits)) as session:
-                session.stop_on_signals()
-                session.activate()
-                signal.raise_signal(signal.SIGINT)
-                session.tick()
-        finally:
-            if PLACE == "results":
-                interrupted(int)()
+def run(*, arm: bool = False) -> None:
+    machine = FreeFin(Hours())
+    try:
+        with Session(machine, Guard(SafetyConfig(), machine.limits)) as session:
+            session.stop_on_signals()
+            session.activate()
+            signal.raise_signal(signal.SIGINT)
+            session.tick()
+    finally:
+        if PLACE == "results":
+            interrupted(int)()
 
 
-cli.import_arguments = lambda name: Run
+cli.import_function = lambda name: run
 if PLACE == "message":
     cli._describe_error = interrupted(cli._describe_error)
 if PLACE == "end":
@@ -66,8 +64,10 @@ cli.script()
 """
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("place", ["nowhere", "results", "message", "end"])
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("SIGINT", "nowhere"), ("SIGTERM", "results"), ("SIGHUP", "message"), ("SIGTERM", "end")],
+)
 def test_signals_after_a_stop_change_neither_its_message_nor_its_exit_code(name, place):
     run = subprocess.run(
         [sys.executable, "-c", PROGRAM, name, place],

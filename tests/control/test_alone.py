@@ -21,8 +21,8 @@ class Refusing:
 
 sys.meta_path.insert(0, Refusing())
 
-import softfin.cli.driving
-import softfin.cli.rig
+import softfin.stages.driving
+import softfin.stages.rig
 import softfin.cli.doctor
 import softfin.rig.monitor.web
 import softfin.rig.rig

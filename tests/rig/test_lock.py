@@ -9,12 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig import lock as locks
-from softfin.rig.computer import COMPUTER
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import load_rig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
 from softfin.rig.devices.lines.config import LinesConfig
@@ -32,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 HOLDER = """
 import sys
 from pathlib import Path
-from softfin.rig.computer import COMPUTER
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig import lock
 lock.LOCK_FOLDER = Path(sys.argv[1])
 lock.DeviceLock("drive", "can0", 1).acquire(COMPUTER)
@@ -157,9 +156,9 @@ def test_the_program_that_holds_a_lock_is_asked_to_exit(folder):
 
 def test_a_program_may_take_two_seconds_to_stop_its_fin(folder):
     holder = DeviceLock("drive 1", "can0", 1)
-    holder.acquire(REAL)
+    holder.acquire(COMPUTER)
 
-    class Fast(Clock):
+    class Fast(Computer):
         now = 0.0
 
         def __call__(self):
@@ -195,9 +194,9 @@ def test_a_port_has_one_lock_whatever_its_name(folder):
         ),
     ):
         first, second = (made(name).device_lock for name in (port, link))
-        first.acquire(REAL)
+        first.acquire(COMPUTER)
         with pytest.raises(RigError, match="in use"):
-            second.acquire(REAL)
+            second.acquire(COMPUTER)
         first.release()
 
 

@@ -5,10 +5,9 @@ import io
 
 import pytest
 
-from softfin.cli.common import Armed
 from softfin.core.errors import ConfigurationError, DeviceError, SafetyStop
 from softfin.emulation.clock import SimulatedClock
-from softfin.rig.arming import typed
+from softfin.rig.arming import Arming, typed
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
@@ -116,15 +115,15 @@ def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
     machine = FreeFin(SimulatedClock())
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(ConfigurationError, match="in a script, add --yes"):
-        Armed(arm=True).confirm(RobotSetup(machine, CALM))
-    Armed(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
+        Arming(arm=True).confirm(RobotSetup(machine, CALM))
+    Arming(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
 
 
 def test_notes_are_told_before_anything_moves(capsys):
     machine = FreeFin(SimulatedClock())
     machine.notes = ("forces are simulated",)
     with pytest.raises(ConfigurationError, match="nothing moves without --arm"):
-        Armed().confirm(RobotSetup(machine, CALM))
+        Arming().confirm(RobotSetup(machine, CALM))
     assert capsys.readouterr().err == "note: forces are simulated\n"
 
 

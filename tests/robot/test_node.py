@@ -383,7 +383,7 @@ def test_a_fin_whose_name_cannot_be_a_topics_is_refused():
 
 def test_the_node_and_the_check_need_no_jax():
     code = (
-        "import sys, softfin.cli.robot, softfin.cli.driving\n"
+        "import sys, softfin.stages.robot, softfin.stages.driving\n"
         "from softfin.cli import main\n"
         "from softfin.robot.node import RobotNode\n"
         "from softfin.robot.node_config import RobotNodeConfig\n"

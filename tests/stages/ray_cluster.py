@@ -1,10 +1,7 @@
 """A Ray cluster in a network with nothing but loopback, because Ray listens more widely than it is
 told: ``python -m tests.stages.ray_cluster FOLDER``."""
 
-import fcntl
 import json
-import socket
-import struct
 import subprocess
 import sys
 from hashlib import sha256
@@ -14,6 +11,7 @@ from softfin.core.errors import RunError
 from softfin.stages.controllers import train
 from softfin.stages.ray_training import train_on_ray
 from softfin.storage.artifact import WEIGHTS
+from tests.alone import raise_loopback
 from tests.patience import HANG_S
 from tests.stages.test_training import PPO
 
@@ -26,12 +24,6 @@ START = (
 )
 
 
-def raise_loopback() -> None:
-    """The loopback of a new network is down; 0x8914 is SIOCSIFFLAGS, 0x41 up and running."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        fcntl.ioctl(any_socket, 0x8914, struct.pack("16sh14x", b"lo", 0x41))
-
-
 def digest(folder: Path) -> str:
     return sha256((folder / WEIGHTS).read_bytes()).hexdigest()
 
@@ -41,7 +33,7 @@ def main(folder: Path) -> None:
     (folder / "taken").mkdir()
     (folder / "taken" / "mine").touch()
     runs = {
-        name: {"plant": PLANT, "out": folder / name, "config": PPO, "seed": seed}
+        name: {"surrogate": PLANT, "out": folder / name, "config": PPO, "seed": seed}
         for name, seed in (("first", 0), ("second", 1), ("taken", 2), ("third", 3))
     }
     subprocess.run(START, check=True, timeout=HANG_S)

@@ -280,7 +280,7 @@ def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_inter
     warnings = []
     with emulated() as (behind, robot):
         robot.machine.config._file = file
-        zero_force(robot.machine.config, 0.2, behind.clock)
+        zero_force(robot.machine, 0.2)
         zero = load_record(file).force_zero
         pull(behind.fin, 0.4, 0.0)
         stopped_in_the_second_log(robot, out)

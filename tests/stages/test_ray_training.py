@@ -1,9 +1,5 @@
 """Many trainings on Ray, where it is installed and a network of its own can be had."""
 
-import json
-import os
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,11 +8,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.stages.ray_training import train_on_ray
 from tests import needs
-from tests.documents import ROOT
-from tests.patience import HANG_S
-
-ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
-"""A network and processes of its own: whatever was started in there ends with the first."""
+from tests.alone import namespace, told_by
 
 
 def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,22 +22,15 @@ def test_a_cluster_trains_the_same_bits_and_a_failure_is_told_after_the_others_f
     tmp_path: Path,
 ) -> None:
     needs.module("ray", "the extra ray is not installed")
-    if (
-        shutil.which("unshare") is None
-        or subprocess.run([*ALONE, "true"], capture_output=True).returncode
-    ):
+    if not namespace():
         needs.give_up("ray", "Ray is tried in a network namespace, and none can be had here")
-    command = [*ALONE, sys.executable, "-m", "tests.stages.ray_cluster", str(tmp_path)]
-    environment = os.environ | {
-        "HOME": str(tmp_path),
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
-    }
-    run = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=HANG_S
+    told = told_by(
+        "tests.stages.ray_cluster",
+        tmp_path,
+        HOME=str(tmp_path),
+        RAY_USAGE_STATS_ENABLED="0",
+        RAY_ENABLE_UV_RUN_RUNTIME_ENV="0",
     )
-    assert run.returncode == 0, run.stderr[-4000:]
-    told = json.loads((tmp_path / "told.json").read_text())
     assert told["trained"] == [told["alone"], told["other"]]
     assert told["alone"] != told["other"]
     assert "taken: already exists" in told["error"]

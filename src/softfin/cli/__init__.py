@@ -10,28 +10,26 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache, use_program_cache
-
-if TYPE_CHECKING:
-    from softfin.cli.common import CommandOptions
 
 
 class Command(NamedTuple):
     """One entry in the list of commands."""
 
     place: str
-    """The command's function, as ``module:name``; or, for a command that is a class, its module in
-    this folder."""
+    """The command's function, as ``module:name``."""
     summary: str
     """Description in the list of commands."""
 
 
 GROUPS = {
     "Start": {
-        "demo": Command("reproduce", "run every stage on a simulated fin and write a report"),
+        "demo": Command(
+            "softfin.stages.reproduce:demo", "run every stage on a simulated fin and write a report"
+        ),
         "example": Command(
             "softfin.stages.example:write_example",
             "write a trained surrogate, controllers and a recording",
@@ -104,7 +102,10 @@ GROUPS = {
         ),
     },
     "Paper": {
-        "reproduce": Command("reproduce", "run every stage of the paper and print its tables"),
+        "reproduce": Command(
+            "softfin.stages.reproduce:reproduce",
+            "run every stage of the paper and print its tables",
+        ),
     },
 }
 """The commands by topic."""
@@ -136,40 +137,26 @@ def script() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command. Exit codes: 0 success, 1 failure at run time, 2 unusable input, 3 fin
     stopped for safety."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    first = words[0] if words else "--help"
+    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    for count in (2, 1):
+        name = " ".join(words[:count])
+        if name in COMMANDS:
+            _run(name, words[count:])
+            return
+    first, *rest = words
+    actions = {name: each for name, each in COMMANDS.items() if name.split()[0] == first}
     if first in ("-h", "--help"):
         sys.stdout.write(_usage() + "\n")
     elif first in ("-V", "--version"):
         sys.stdout.write(f"softfin {importlib.metadata.version('softfin')}\n")
-    elif first in COMMANDS:
-        _run(first, words[1:])
-    elif actions := list_actions(first):
-        _run_action(first, actions, words[1:])
+    elif actions and rest in ([], ["-h"], ["--help"]):
+        sys.stdout.write(f"Usage: softfin {first} ACTION [OPTIONS]\n\n{_list(actions)}\n")
     else:
-        names = tuple(dict.fromkeys(name.split()[0] for name in COMMANDS))
-        _exit(f"softfin: unknown command {first!r}; use {_choices(first, names)}", 2)
-
-
-def list_actions(name: str) -> tuple[str, ...]:
-    """Return the second words of a command, such as ``recover`` for ``bag``."""
-    return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
-
-
-def _run_action(name: str, actions: tuple[str, ...], words: list[str]) -> None:
-    action = words[0] if words else "--help"
-    if action in ("-h", "--help"):
-        group = {f"{name} {each}": COMMANDS[f"{name} {each}"] for each in actions}
-        sys.stdout.write(f"usage: softfin {name} ACTION [OPTION ...]\n\n{_list(group)}\n")
-    elif action in actions:
-        _run(f"{name} {action}", words[1:])
-    else:
-        _exit(f"softfin {name}: unknown action {action!r}; use {_choices(action, actions)}", 2)
-
-
-def _choices(word: str, allowed: tuple[str, ...]) -> str:
-    close = difflib.get_close_matches(word, allowed, n=1)
-    return ", ".join(allowed) + (f"; did you mean {close[0]}?" if close else "")
+        typed = " ".join(words[:2] if actions else words[:1])
+        names = list(actions) or list(dict.fromkeys(name.split()[0] for name in COMMANDS))
+        close = difflib.get_close_matches(typed, names, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        _exit(f"softfin: unknown command {typed!r}; use {', '.join(names)}{hint}", 2)
 
 
 def import_function(name: str) -> Callable[..., object]:
@@ -179,94 +166,55 @@ def import_function(name: str) -> Callable[..., object]:
     return imported
 
 
-def import_arguments(name: str) -> "type[CommandOptions]":
-    """Import the class of a command, such as `RigCheckArguments`, whose fields are its options."""
-    module = importlib.import_module(f"softfin.cli.{COMMANDS[name].place}")
-    words = name.replace("-", " ").split()
-    class_name = "".join(map(str.capitalize, words)) + "Arguments"
-    arguments: type[CommandOptions] = getattr(module, class_name)
-    return arguments
-
-
 def _run(name: str, words: list[str]) -> None:
-    # Imported here to keep --version and --help fast.
-    from softfin.installation import what_is_missing
-
-    debug = "--debug" in words
-    try:
-        from softfin.core import configuration  # noqa: F401  # finds missing packages
-    except ModuleNotFoundError as error:
-        if debug or (missing := what_is_missing(error)) is None:
-            raise
-        _exit(f"softfin {name}: {missing}", 2)
+    is_debugged = "--debug" in words
+    hint = ""
     _configure_process()
-    can_resume = False
     with contextlib.ExitStack() as until_exit:
         try:
-            if ":" not in COMMANDS[name].place:
-                _run_class(name, words, until_exit)
-                return
             function = import_function(name)
-            can_resume = "resume" in inspect.signature(function).parameters
-            _run_function(name, function, words, until_exit)
+            if "resume" in inspect.signature(function).parameters:
+                hint = "; run it again with --resume to continue"
+            _call(name, function, words, until_exit)
         except KeyboardInterrupt as interrupt:
-            if debug:
+            if is_debugged:
                 raise
-            hint = "; run it again with --resume to continue" if can_resume else ""
             sys.stderr.write(f"softfin {name}: stopped; no incomplete files were left{hint}\n")
             raise SystemExit(STOPPED) from interrupt
         except Exception as error:
-            if debug:
+            if is_debugged:
                 raise
             message, code = _describe_error(error)
             _exit(f"softfin {name}: {message}", code)
 
 
-def _run_function(
+def _call(
     name: str,
     function: Callable[..., object],
     words: list[str],
     until_exit: contextlib.ExitStack,
 ) -> None:
+    """Parse the words of a command, call its function and print the result."""
+    # Imported here to keep --version and --help fast.
     from softfin.cli import application
     from softfin.cli.output import print_result, progress
 
     if "-h" in words or "--help" in words:
-        sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
-        raise SystemExit(0)
-    call = application.parse(
-        function, [word for word in words if word not in ("--json", "--debug")]
-    )
+        application.print_help(function, f"softfin {name}")
+        return
+    typed = [word for word in words if word not in ("--json", "--debug")]
+    call = application.parse(function, typed)
     if call.options.get("arm"):
-        _guard_stop(until_exit)
+        # Imported here, because most commands do not need the rig.
+        from softfin.rig.stop import undisturbed_after_stop
+
+        until_exit.enter_context(undisturbed_after_stop())
     if "progress" in inspect.signature(function).parameters:
         with progress() as report:
             result = call.run(progress=report)
     else:
         result = call.run()
     print_result(result, as_json="--json" in words)
-
-
-def _guard_stop(until_exit: contextlib.ExitStack) -> None:
-    # Imported here, because most commands do not need the rig.
-    from softfin.rig.stop import undisturbed_after_stop
-
-    until_exit.enter_context(undisturbed_after_stop())
-
-
-def _run_class(name: str, words: list[str], until_exit: contextlib.ExitStack) -> None:
-    from softfin.cli import options
-
-    arguments = import_arguments(name)
-    try:
-        command = options.parse(arguments, words)
-    except options.HelpRequested:
-        sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
-        raise SystemExit(0) from None
-    command.check()
-    if getattr(command, "arm", False):
-        _guard_stop(until_exit)
-    command()
 
 
 def _configure_process() -> None:
@@ -304,7 +252,7 @@ def _list(commands: Mapping[str, Command]) -> str:
 def _usage() -> str:
     groups = "\n\n".join(f"{title}:\n{_list(commands)}" for title, commands in GROUPS.items())
     return (
-        "usage: softfin COMMAND [OPTION ...]\n\nMake a soft fin produce the force you ask for.\n\n"
+        "Usage: softfin COMMAND [OPTIONS]\n\nMake a soft fin produce the force you ask for.\n\n"
         f"{groups}\n\nRun softfin COMMAND --help for the options of a command, and softfin "
         f"--version for the version. Add --debug for tracebacks.\n{describe_cache()}"
     )

@@ -42,30 +42,7 @@ class Configuration(pydantic.BaseModel):
     def changed(self: Config, changes: Sequence[str]) -> Config:
         """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are
         parsed as YAML."""
-        values = self.model_dump()
-        for change in changes:
-            path, sign, text = change.partition("=")
-            if not sign:
-                example = "=".join(map(str, next(iter(values.items()))))
-                raise ConfigurationError(
-                    f"--set {change}: missing '='; use path=value, e.g. {example}"
-                )
-            try:
-                value = parse_yaml(text)
-            except ValueError as error:
-                raise ConfigurationError(
-                    f"--set {change[:200]}: not valid YAML ({error}); quote the value, or "
-                    "close its bracket"
-                ) from None
-            # Missing groups are created; validation then rejects keys that do not exist.
-            *groups, name = path.strip().split(".")
-            group = values
-            for each in groups:
-                if not isinstance(group.get(each), dict):
-                    group[each] = {}
-                group = group[each]
-            group[name] = value
-        return self.build(values, "--set")
+        return Changes(None, dict(change.split("=", 1) for change in changes)).apply(self)
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
         """Return a copy with a mapping, such as part of a YAML file, merged into it."""
@@ -85,12 +62,12 @@ class Changes(NamedTuple):
     def apply(self, base: Config) -> Config:
         """Return `base` with the changes; raises ConfigurationError for an unknown field."""
         config = base if self.file is None else base.merged(read_yaml(self.file), str(self.file))
-        allowed = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
         values: JsonObject = {}
         for option, text in self.fields.items():
-            first = option.partition(".")[0]
-            if first not in allowed:
-                close = difflib.get_close_matches(first, [*self.options, *allowed], n=1)
+            path = option.removeprefix("--").replace("-", "_").split(".")
+            if path[0] not in type(base).model_fields:
+                names = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
+                close = difflib.get_close_matches(option, [*self.options, *names], n=1)
                 nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
                 raise ConfigurationError(f"{option}: unknown option; {nearest}")
             try:
@@ -100,7 +77,7 @@ class Changes(NamedTuple):
                     f"{option} {text[:200]}: not valid YAML ({error}); quote the value, or close "
                     "its bracket"
                 ) from None
-            for name in reversed(option.removeprefix("--").replace("-", "_").split(".")):
+            for name in reversed(path):
                 value = {name: value}
             values = _merge(values, value)
         return config.merged(values, "options")

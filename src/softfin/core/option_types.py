@@ -54,6 +54,20 @@ def _parse_forces(hint: object, tokens: Sequence[Token]) -> Force | tuple[Force,
 FORCE = Parameter(metavar="X,Y", n_tokens=1, converter=_parse_forces)
 """For forces, each as X,Y in one word."""
 
+
+def _keep_text(_: object, tokens: Sequence[Token]) -> str:
+    return ",".join(token.value for token in tokens)
+
+
+PAIRS = Parameter(metavar="NAME=VALUE", n_tokens=1, accepts_keys=False, converter=_keep_text)
+"""For a mapping whose class parses NAME=VALUE,NAME=VALUE."""
+
+NAMES = Parameter(metavar="NAME", n_tokens=1, converter=_keep_text)
+"""For names whose class parses NAME,NAME."""
+
+RECORDINGS = Parameter(name="*", group="Recordings that softfin did not make")
+"""For import options, each an option."""
+
 HIDDEN = Parameter(parse=False)
 """For a parameter that cannot be typed, such as `progress`."""
 

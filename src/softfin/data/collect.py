@@ -65,7 +65,7 @@ def collect_logs(
     if config.channels and not all(isinstance(each, MeasuringPlant) for each in plants):
         raise PlantError(
             f"channels: the plant {type(plant).__name__} has no method measure, which returns "
-            "them; use --set channels=false"
+            "them; use --channels false"
         )
     keys = []
     for part, count in (("train", config.logs), ("test", config.test_logs)):

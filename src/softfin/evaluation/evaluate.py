@@ -23,6 +23,7 @@ from softfin.control.store import load_controller
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE
@@ -266,19 +267,34 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     )
 
 
-def evaluate_controller(
-    path: Path,
+def evaluate_controllers(
+    paths: Sequence[Path],
     target: EvaluationTarget,
     config: EvaluateConfig,
     out: Path | None,
     metadata: Mapping[str, object],
+    *,
     overwrite: bool = False,
+    progress: Progress = silent,
 ) -> EvaluationSummary:
-    """Evaluate the controller in a folder; with `out`, write the evaluation."""
-    controller = load_controller(path)
-    check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
-    evaluation = score_controller(controller, target, config)
-    conditions = {"controller": str(path), "kind": controller.kind, **metadata}
+    """Evaluate the controllers in some folders; with `out`, write the evaluation.
+
+    Several controllers, such as those trained from different seeds, are the repetitions of one
+    evaluation; each has the next seed.
+    """
+    evaluations = []
+    for index, path in enumerate(paths):
+        controller = load_controller(path)
+        check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
+        own = config.model_copy(update={"seed": config.seed + index})
+        evaluations.append(score_controller(controller, target, own))
+        progress("evaluate", (index + 1) / len(paths), str(path))
+    evaluation = evaluations[0] if len(evaluations) == 1 else together(evaluations)
+    conditions = {
+        "controller": ", ".join(map(str, paths)),
+        "kind": controller.kind,
+        **metadata,
+    }
     if out is None:
         summary = evaluation.summary()
         summary["conditions"] |= conditions

@@ -3,6 +3,7 @@
 The page is self-contained and needs no network. Sections without data are omitted.
 """
 
+import base64
 import importlib.resources
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +13,6 @@ import jinja2
 import numpy as np
 import yaml
 from jaxtyping import Float
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
@@ -23,14 +23,13 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
     BLACK,
     BLUE,
-    inline_svg,
     new_figure,
     styled,
     with_minus_signs,
 )
 
-Figures = Mapping[str, Figure]
-"""Figures by caption."""
+Figures = Mapping[str, Path]
+"""Files (.png) by caption."""
 
 PARTS = ("surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
@@ -68,7 +67,7 @@ def write_report(
         error_decimals=error_decimals,
         over_seeds=over_seeds,
         settling_time=settling_time,
-        **{f"{part}_figures": _svgs(figures.get(part, {})) for part in PARTS},
+        **{f"{part}_figures": _encode(figures.get(part, {})) for part in PARTS},
         configuration=configuration
         and yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
         provenance=results.get("provenance"),
@@ -82,9 +81,10 @@ def _number(value: float) -> str:
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
-def _svgs(figures: Figures) -> dict[str, Markup]:
-    # Safe to mark as HTML, because Matplotlib escapes all text in an SVG.
-    return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
+def _encode(figures: Figures) -> dict[str, str]:
+    return {
+        caption: base64.b64encode(file.read_bytes()).decode() for caption, file in figures.items()
+    }
 
 
 def prediction_figure(

@@ -46,6 +46,11 @@ def encode_arrays(array: AnyArray) -> JsonObject:
     }
 
 
+def is_shown(plant: Plant) -> bool:
+    """Whether the page can simulate this plant."""
+    return isinstance(plant, Tank | ExplorableSurrogate)
+
+
 def plant_data(name: str, plant: Plant) -> JsonObject:
     """Return the data of a virtual tank or a streaming surrogate; raises PlantError for any other
     plant."""

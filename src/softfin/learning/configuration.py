@@ -95,19 +95,6 @@ TRAIN_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
 )
 """Defaults by type of controller."""
 
-PAPER_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
-    {
-        "single": SINGLE.changed(
-            ["range=paper", "steps=30000", "ppo.num_envs=32", "ppo.num_epochs=8"]
-        ),
-        "grid": GRID.changed(
-            ["range=paper", "steps=10000", "ppo.num_envs=16", "ppo.num_epochs=10"]
-        ),
-    }
-)
-"""The paper's references and numbers of actions, by type of controller. So few actions need more
-updates per rollout."""
-
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
     """Adapt a configuration to another clock. Numbers of actions are scaled so that their durations

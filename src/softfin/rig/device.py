@@ -26,11 +26,10 @@ from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
-MAX_BRAKE_S = 0.5
-"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
-
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 """How the state of a result is printed."""
+MAX_BRAKE_S = 0.5
+"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 
 class CheckResult(NamedTuple):

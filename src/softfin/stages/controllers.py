@@ -65,6 +65,7 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
 @lock_output
 def map_forces(
     plant: Annotated[PlantLike, PLANT],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     clock: Annotated[str | None, CLOCK] = None,
@@ -154,6 +155,7 @@ def _describe_map(values: JsonObject) -> str:
 @lock_output
 def train(
     surrogate: Annotated[PlantLike, Parameter(metavar="SURROGATE")],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     controller: PolicyLayout | None = None,
@@ -276,6 +278,7 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
 
 def export(
     controller: Annotated[PathLike, CONTROLLER],
+    /,
     *,
     onnx: Annotated[PathLike, FILE],
     overwrite: bool = False,
@@ -297,11 +300,11 @@ def export(
     from softfin.control.onnx import EPISODE, export_onnx
     from softfin.control.store import load_controller
 
-    file = Path(onnx)
-    exported = export_onnx(load_controller(Path(controller)), file, overwrite)
+    exported = export_onnx(load_controller(Path(controller)), Path(onnx), overwrite)
     return Result(
-        {"onnx": str(file), **exported._asdict()},
-        f"{file}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; over {EPISODE} actions, "
-        f"onnxruntime's commands differ from softfin's by at most {exported.worst:.1g} (rad, "
-        f"rad/s)\nin:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
+        {"onnx": str(onnx), **exported._asdict()},
+        f"{onnx}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; over {EPISODE} actions, "
+        "onnxruntime's commands differ from softfin's by at most "
+        f"{exported.worst:.1g} (rad, rad/s)\n"
+        f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
     )

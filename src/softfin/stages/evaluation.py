@@ -1,5 +1,6 @@
 """Stages that evaluate a moving fin with a controller (paper Sec. IV-B)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    controller: Annotated[PathLike, CONTROLLER],
-    *,
+    *controllers: Annotated[PathLike, CONTROLLER],
     plant: Annotated[PlantLike, PLANT] = "tank",
     out: Annotated[PathLike | None, DIR] = None,
     reference: Annotated[tuple[Force, ...], FORCE] = (),
@@ -52,7 +52,8 @@ def evaluate(
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II).
 
     Args:
-        controller: Controller folder.
+        controllers: Controller folder; several of one kind, trained from different seeds, are
+            evaluated together.
         plant: The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or
             package.module:plant. Real: rig or ros2, optionally followed by :FILE.
         out: Output folder for evaluation.json and the figures (default: only print the scores).
@@ -85,10 +86,10 @@ def evaluate(
     Example:
         >>> softfin.evaluate("gaits", plant="tank", out="evaluation", trim=True)
     """
-    controller = Path(controller)
+    paths = list(map(Path, controllers))
     out = None if out is None else Path(out)
     is_real = isinstance(plant, str) and is_live(plant)
-    _check_evaluation(controller, plant, out, is_real, arm, randomize, overwrite)
+    _check_evaluation(paths, plant, out, is_real, arm, randomize, overwrite)
     from softfin.evaluation.evaluate import EvaluateConfig
     from softfin.stages.tables import evaluation_tables
     from softfin.task.signals import read_reference_file
@@ -116,9 +117,10 @@ def evaluate(
         from softfin.stages.live import evaluate_live
         from softfin.stages.machines import find_robot
 
+        assert out is not None, "checked above"
         keys = KeyboardStop(Arming(arm, yes))
         summary = evaluate_live(
-            controller,
+            paths[0],
             find_robot(str(plant)),
             out,
             settings,
@@ -129,19 +131,20 @@ def evaluate(
             progress=progress,
         )
     else:
-        summary = _evaluate_simulated(controller, plant, out, settings, randomize, overwrite)
+        summary = _evaluate_simulated(paths, plant, out, settings, randomize, overwrite, progress)
     return Result(summary, evaluation_tables(summary))
 
 
 def _evaluate_simulated(
-    controller: Path,
+    controllers: Sequence[Path],
     plant: PlantLike,
     out: Path | None,
     config: "EvaluateConfig",
     randomize: float | None,
     overwrite: bool,
+    progress: Progress,
 ) -> "EvaluationSummary":
-    from softfin.evaluation.evaluate import evaluate_controller
+    from softfin.evaluation.evaluate import evaluate_controllers
     from softfin.storage.registry import find_plant
     from softfin.tank import DomainRandomization, RandomizedTank, Tank
 
@@ -158,11 +161,13 @@ def _evaluate_simulated(
         "plant": str(plant),
         "randomization": None if widths is None else widths.model_dump(mode="json"),
     }
-    return evaluate_controller(controller, target, config, out, metadata, overwrite)
+    return evaluate_controllers(
+        controllers, target, config, out, metadata, overwrite=overwrite, progress=progress
+    )
 
 
 def _check_evaluation(
-    controller: Path,
+    controllers: Sequence[Path],
     plant: PlantLike,
     out: Path | None,
     is_real: bool,
@@ -180,7 +185,12 @@ def _check_evaluation(
         )
     if is_real and out is None:
         raise ConfigurationError(f"{plant}: moves in real time; set --out, to keep the recording")
-    artifacts.find_description(controller, "controller")
+    if not controllers:
+        raise ConfigurationError("missing required CONTROLLER; see --help")
+    if is_real and len(controllers) > 1:
+        raise ConfigurationError(f"{plant}: moves in real time; evaluate one controller at a time")
+    for path in controllers:
+        artifacts.find_description(path, "controller")
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     if not is_real:

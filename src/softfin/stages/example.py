@@ -21,6 +21,7 @@ EXAMPLE_KIND = "example"
 
 def write_example(
     folder: Annotated[PathLike, DIR],
+    /,
     *,
     overwrite: bool = False,
 ) -> Result:

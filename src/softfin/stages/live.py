@@ -26,7 +26,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Readi
 from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held_command, interpolated
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate_controller
+from softfin.evaluation.evaluate import EvaluateConfig, evaluate_controllers
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
@@ -186,7 +186,9 @@ def evaluate_live(
         with session.recording(bag):
             target = LiveFin(session, acting, robot, progress)
             metadata = {"plant": str(target), "randomization": None}
-            return evaluate_controller(controller, target, config, out, metadata, overwrite)
+            return evaluate_controllers(
+                [controller], target, config, out, metadata, overwrite=overwrite
+            )
 
 
 class LiveFin:

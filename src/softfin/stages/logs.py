@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from softfin.core.json_object import JsonObject
-from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, PathLike
+from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, RECORDINGS, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.data.importing.importing import ImportConfig
@@ -17,9 +17,10 @@ from softfin.storage.paths import find_recordings
 
 def inspect_logs(
     logs: Annotated[PathLike, LOGS],
+    /,
     *,
     out: Annotated[PathLike | None, DIR] = None,
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
+    recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
@@ -61,9 +62,10 @@ def inspect_logs(
 
 def import_logs(
     logs: Annotated[PathLike, LOGS],
+    /,
     *,
     out: Annotated[PathLike, DIR],
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
+    recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     ignore_errors: bool = False,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
@@ -114,6 +116,7 @@ def import_logs(
 
 def recover_recording(
     recording: Annotated[PathLike, RECORDING],
+    /,
     *,
     out: Annotated[PathLike | None, FILE] = None,
     overwrite: bool = False,

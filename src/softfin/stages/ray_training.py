@@ -60,7 +60,7 @@ def _train(arguments: dict[str, Any]) -> JsonObject | SoftfinError:
     """Train on a worker, from the last checkpoint if a previous worker died. softfin's errors are
     returned, because Ray would wrap raised errors in a traceback."""
     try:
-        return train(**arguments | {"resume": True})
+        return train(arguments.pop("surrogate"), **arguments | {"resume": True})
     except SoftfinError as error:
         return error
 

@@ -1,399 +1,470 @@
-"""The complete pipeline in one run: collect, fit, train, evaluate, report. Each stage has its own
-folder, so that a stopped run can continue."""
+"""The complete pipeline in one run: a list of stages, each with its own folder, then a report.
+
+A stage whose folder exists is skipped, so that a stopped run can continue.
+"""
 
 import json
 import resource
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import equinox as eqx
-import jax
-import numpy as np
-import yaml
-from matplotlib.figure import Figure
-
-from softfin.control.store import load_controller
-from softfin.core.errors import ArtifactError
-from softfin.core.json_object import JsonObject
-from softfin.core.plant import roll
-from softfin.core.plant_identity import identity
+from softfin.core.choices import PolicyLayout, ReproducePreset
+from softfin.core.option_types import DIR, HIDDEN, PLANT, PathLike
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import RATE_HZ
-from softfin.evaluation.evaluate import Evaluation, score_controller, together, write_evaluation
-from softfin.evaluation.figures import experiments_figure, moving_figure
-from softfin.evaluation.report import prediction_figure, write_report
-from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
-from softfin.learning.controllers import Curve, learning_curve, learning_figure
+from softfin.core.result import Result
+from softfin.core.seeds import check_seed
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
-from softfin.stages.evaluation import check_limits
-from softfin.stages.explore import explore, is_shown
-from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
+from softfin.stages.evaluation import evaluate
+from softfin.stages.explore import explore
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
-from softfin.storage.dataset import Dataset
 from softfin.storage.output_lock import lock_output
-from softfin.storage.registry import find_plant, is_surrogate
-from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_training_log
-from softfin.surrogate import Surrogate, load_surrogate
+from softfin.storage.registry import TANK, check_plant, is_surrogate
+
+if TYPE_CHECKING:
+    from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
 
 REPRODUCTION_KIND = "reproduction"
 RESULTS = "results.json"
 PAGE = "explore.html"
-SHOWN_TEST_S = 8
-"""Length of the test-log segment in the report [s]."""
 
-Evaluated: TypeAlias = dict[str, tuple[EvaluationSummary, Evaluation]]
-"""Contents of ``evaluation.json`` and the evaluation, by kind of controller."""
+Changes = Mapping[str, Any]
+"""Changes of the default configuration of a stage."""
+
+
+class Preset(NamedTuple):
+    """The stages of a run."""
+
+    policies: Mapping[PolicyLayout, Changes]
+    """Policies to train; a controller of gaits is always made."""
+    model: str = "streaming"
+    collect: Changes = MappingProxyType({})
+    fit: Changes = MappingProxyType({})
+    gaits: Changes = MappingProxyType({})
+    evaluate: Changes = MappingProxyType({})
+    """Experiments, in the plant without and with force feedback, and in the surrogate."""
+    moving: bool = True
+    """Whether the reference also steps from one side to the other, and whether the controllers are
+    also evaluated with force feedback."""
+    num_seeds: int = 1
+    """Number of policies trained per kind, from consecutive seeds; intervals are over them."""
+
+
+PRESETS: Mapping[ReproducePreset, Preset] = MappingProxyType(
+    {
+        "paper": Preset(
+            model="paper",
+            # So few actions need more updates per rollout.
+            policies={
+                "single": {
+                    "range": "paper",
+                    "steps": 30_000,
+                    "ppo": {"num_envs": 32, "num_epochs": 8},
+                },
+                "grid": {
+                    "range": "paper",
+                    "steps": 10_000,
+                    "ppo": {"num_envs": 16, "num_epochs": 10},
+                },
+            },
+            moving=False,
+            num_seeds=5,
+        ),
+        "demo": Preset(
+            collect={"logs": 10, "test_logs": 1, "rows": 6_000},
+            fit={"members": 3, "drive_updates": 200, "force_updates": 400},
+            policies={"single": {}},
+        ),
+        "tiny": Preset(
+            collect={"logs": 3, "test_logs": 1, "rows": 1500},
+            fit={
+                "members": 2,
+                "drive_updates": 20,
+                "force_updates": 20,
+                "batch": 8,
+                "ticks": 200,
+            },
+            gaits={"spacing_n": 1.7, "survey": {"pushes": 1}, "gaits": {"steps": 2}},
+            policies={
+                "single": {"steps": 960, "num_evaluations": 1},
+                "grid": {"steps": 960, "num_evaluations": 2},
+            },
+            evaluate={"seconds": 6},
+            num_seeds=2,
+        ),
+    }
+)
+"""``paper``: the paper's full data and budgets, and gaits. ``demo``: a streaming surrogate from ten
+minutes of data, gaits and a single policy, in two minutes. ``tiny``: a check that every stage
+works."""
+
+ONE_STEP = {"time_s": (0, 10), "force_n": ((2, -1), (2, 1))}
+"""Moving reference: one step from one side to the other."""
+
+
+class Stage(NamedTuple):
+    """One stage of a run."""
+
+    name: str
+    what: str
+    """Description of the result."""
+    result: Path
+    """File or folder; if it exists, the stage is skipped."""
+    work: Callable[..., object]
+    """Function that does the work, with the argument `progress`."""
+
+
+def demo(
+    *,
+    out: Annotated[PathLike, DIR] = Path("runs/demo"),
+    quick: bool = False,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Run every stage on the virtual tank in a few minutes: collect, fit, train, evaluate. Writes a
+    report and a page for trying the controllers.
+
+    Args:
+        out: Output folder.
+        quick: Finish in one minute: shows that everything works, but hardly trains.
+        seed: Seed for data and training.
+        resume: Continue a stopped run.
+        overwrite: Replace existing output, and discard an unfinished run.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of results.json.
+
+    Example:
+        >>> softfin.demo(out="demo", quick=True)
+    """
+    return reproduce(
+        out=out,
+        preset="tiny" if quick else "demo",
+        seed=seed,
+        resume=resume,
+        overwrite=overwrite,
+        progress=progress,
+    )
 
 
 @lock_output
 def reproduce(
-    plant: str,
-    out: Path,
-    config: ReproduceConfig | None = None,
     *,
+    out: Annotated[PathLike, DIR],
+    preset: ReproducePreset = "paper",
+    plant: Annotated[str, PLANT] = TANK,
     seed: int = 0,
     resume: bool = False,
     overwrite: bool = False,
-    progress: Progress = silent,
-) -> RunResults:
-    """Run all stages into `out`; writes ``results.json`` (keys: docs/files.md) and ``report.html``.
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Run every stage of the paper: collect, fit, train, evaluate. Writes its tables and figures, a
+    report, and a page for trying the controllers.
 
-    If a page can simulate the plant or the surrogate, also writes ``explore.html``, for trying the
-    controllers.
+    Args:
+        out: Output folder.
+        preset: paper: the paper's data and training (hours); demo: a streaming surrogate, gaits and
+            one policy (minutes); tiny: only shows that everything works.
+        plant: The fin: tank, package.module:plant, or a surrogate's folder, which skips collect and
+            fit.
+        seed: First seed.
+        resume: Continue a stopped run.
+        overwrite: Replace existing output, and discard an unfinished run.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The contents of results.json.
+
+    Example:
+        >>> softfin.reproduce(out="run", preset="demo")
     """
-    config = config or ReproduceConfig()
-    run = _Reproduction(plant, out, config, seed, progress)
-    run.claim(resume, overwrite)
-    if resume and (out / RESULTS).is_file():
-        # The run is complete; evaluating again would only erase the times of its stages.
-        complete: RunResults = json.loads((out / RESULTS).read_text())
-        return complete
-    scores = None if is_surrogate(plant) else run.learn_surrogate()
-    run.make_controllers()
-    evaluated = run.evaluate(plant, "evaluation")
-    observed = (
-        None
-        if config.evaluate.trim is None
-        else run.evaluate(plant, "evaluation-trimmed", trim=True)
-    )
-    within = (
-        None
-        if is_surrogate(plant)
-        else run.evaluate(str(run.surrogate), "evaluation-in-surrogate", moving=False)
-    )
-    run.make_page()
+    out = Path(out)
+    check_seed(seed)
+    check_plant(plant)
+    _claim(out, plant, preset, seed, resume, overwrite)
+    if (out / RESULTS).is_file():
+        # The run is complete.
+        return _describe(out, json.loads((out / RESULTS).read_text()))
+    from softfin.evaluation.report import write_report
 
-    results: RunResults = {
-        **artifacts.head(REPRODUCTION_KIND),
-        "title": "softfin: force control of a soft fin",
-        "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
-        "plant": plant,
-        "seed": seed,
-        "seeds": config.seeds,
-        "surrogate": None if scores is None else {"scores": scores},
-        "controllers": summaries(evaluated),
-        "trimmed": None if observed is None else summaries(observed),
-        "in_surrogate": None if within is None else summaries(within),
-        "stages": run.stages,
-        "wall_s": {
-            stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None
-        },
-        "peak_memory_gib": _peak_memory_gib(),
-        "configuration": config.model_dump(mode="json"),
-        "provenance": artifacts.provenance(seed=seed, plant=plant),
-    }
-    figures = run.figures(results, evaluated, observed or evaluated)
-    write_report(out / "report.html", results, figures)
+    stages = _list_stages(out, plant, PRESETS[preset], seed)
+    rows = []
+    for number, stage in enumerate(stages, start=1):
+        rows.append(_run(stage, f"{number}/{len(stages)} {stage.name}", progress))
+    results = _collect_results(out, plant, preset, seed, rows)
+    write_report(out / "report.html", results, _find_figures(out, results))
     # Written last, because it marks the run as complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
-    shutil.rmtree(run.replaced, ignore_errors=True)
-    return results
+    return _describe(out, results)
 
 
-def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
-    """Return the contents of ``evaluation.json`` of each kind of controller."""
-    return {kind: summary for kind, (summary, _) in evaluated.items()}
+def _claim(out: Path, plant: str, preset: str, seed: int, resume: bool, overwrite: bool) -> None:
+    """Claim the folder for this run, or continue a stopped run with the same options."""
+    from softfin.core.errors import ArtifactError
+    from softfin.core.plant_identity import identity
+    from softfin.storage.registry import find_plant
+    from softfin.storage.run_directory import check_same
 
-
-class _Reproduction:
-    """A run and the folders for its parts."""
-
-    def __init__(
-        self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress
-    ) -> None:
-        self.plant = plant
-        self.out = out
-        self.config = config
-        self.seed = seed
-        self.progress = progress
-        self.dataset = out / "dataset"
-        self.stages: list[StageRow] = []
-        self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
-        self.seeds = tuple(range(seed, seed + config.seeds))
-        self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
-
-    def claim(self, resume: bool, overwrite: bool) -> None:
-        """Claim the folder for this run, or continue a stopped run with the same options.
-
-        A complete run that is being replaced is kept until this one is complete.
-        """
-        configuration = self.config.model_dump(mode="json")
-        plant = identity(find_plant(self.plant))
-        metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
-        if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
-            try:
-                before = artifacts.load_description(self.out, REPRODUCTION_KIND)
-                check_same(self.out, {name: before.get(name) for name in metadata}, metadata)
-            except ArtifactError:
-                if not overwrite:
-                    raise
-            else:
-                return
-        artifacts.check_vacant(self.out, overwrite)
-        # Only a complete run is kept until the new one is complete.
-        if (self.out / RESULTS).is_file():
-            shutil.rmtree(self.replaced, ignore_errors=True)
-            self.out.rename(self.replaced)
-        shutil.rmtree(self.out, ignore_errors=True)
-        artifacts.write_file(
-            self.out / f"{REPRODUCTION_KIND}.json",
-            artifacts.encode_description(REPRODUCTION_KIND, metadata),
-        )
-        artifacts.write_file(
-            self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False)
-        )
-
-    def stage(
-        self,
-        name: str,
-        what: str,
-        result: Path,
-        work: Callable[..., object],
-        *given: object,
-        **options: object,
-    ) -> None:
-        """Do the work unless its result already exists; `what` describes the result."""
-        if not result.exists():
-            with self.timed(name, what):
-                work(*given, **options, progress=self.begin(name))
+    metadata = {"plant": identity(find_plant(plant)), "seed": seed, "preset": preset}
+    if resume and artifacts.is_kind(out, REPRODUCTION_KIND):
+        try:
+            before = artifacts.load_description(out, REPRODUCTION_KIND)
+            check_same(out, {name: before.get(name) for name in metadata}, metadata)
+        except ArtifactError:
+            if not overwrite:
+                raise
         else:
-            self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
+            return
+    artifacts.check_vacant(out, overwrite)
+    shutil.rmtree(out, ignore_errors=True)
+    artifacts.write_file(
+        out / f"{REPRODUCTION_KIND}.json", artifacts.encode_description(REPRODUCTION_KIND, metadata)
+    )
 
-    @contextmanager
-    def timed(self, name: str, what: str) -> Iterator[None]:
-        """Record a stage's result, wall-clock time and CPU time when it ends."""
+
+def _list_stages(out: Path, plant: str, preset: Preset, seed: int) -> list[Stage]:
+    """Return the stages of a run, in order."""
+    surrogate = plant if is_surrogate(plant) else str(out / "surrogate")
+    seeds = range(seed, seed + preset.num_seeds)
+    stages: list[Stage] = []
+    if not is_surrogate(plant):
+        stages += _learn_surrogate(out, plant, preset, seed)
+    stages.append(
+        Stage(
+            "map",
+            "the controller gaits: the mean forces that the fin can produce in the surrogate, and "
+            "the gaits (six actions each) that produce them",
+            out / "gaits",
+            partial(map_forces, surrogate, out=out / "gaits", config=preset.gaits),
+        )
+    )
+    for kind, changes in preset.policies.items():
+        policies = "one recurrent policy" if kind == "single" else "a recurrent policy per cell"
+        for each, folder in zip(seeds, _folders(out, kind, seeds), strict=True):
+            work = partial(train, surrogate, controller=kind, seed=each, config=changes)
+            stages.append(
+                Stage(
+                    f"train {folder.name}",
+                    f"the controller {kind}: {policies}, trained in the surrogate by LSTM-PPO, "
+                    f"seed {each}",
+                    folder,
+                    partial(work, out=folder, resume=True),
+                )
+            )
+    controllers = {kind: _folders(out, kind, seeds) for kind in ("gaits", *preset.policies)}
+    stages += _list_evaluations(out, plant, surrogate, preset, seed, controllers)
+    first = [folders[0] for folders in controllers.values()]
+    stages.append(
+        Stage(
+            "explore",
+            "a page to drag the target force and watch these controllers follow it",
+            out / PAGE,
+            partial(_write_page, first, out / PAGE, (surrogate, plant)),
+        )
+    )
+    return stages
+
+
+def _folders(out: Path, kind: str, seeds: range) -> list[Path]:
+    """Return the folder of the controller trained from each seed; there is only one for gaits."""
+    if kind == "gaits" or len(seeds) == 1:
+        return [out / kind]
+    return [out / f"{kind}-{seed}" for seed in seeds]
+
+
+def _learn_surrogate(out: Path, plant: str, preset: Preset, seed: int) -> Iterator[Stage]:
+    dataset = out / "dataset"
+    yield Stage(
+        "collect",
+        "random strokes of the fin and the resulting force",
+        dataset,
+        partial(collect, plant=plant, out=dataset, seed=seed, config=preset.collect),
+    )
+    # Errors are ignored because the logs were recorded by this run and not by a user's program.
+    work = partial(fit, dataset, model=preset.model, config=preset.fit, ignore_errors=True)
+    yield Stage(
+        "fit",
+        "a surrogate: neural networks that predict the fin's motion and force from its commands",
+        out / "surrogate",
+        partial(work, out=out / "surrogate", seed=seed, resume=True),
+    )
+
+
+def _list_evaluations(
+    out: Path,
+    plant: str,
+    surrogate: str,
+    preset: Preset,
+    seed: int,
+    controllers: Mapping[str, list[Path]],
+) -> Iterator[Stage]:
+    """Yield the evaluations of all controllers in the plant, with force feedback, and in the
+    surrogate."""
+    from softfin.gaits.reachable import PAPER_REFERENCES
+
+    asked = {"references": PAPER_REFERENCES, "seed": seed, **preset.evaluate}
+    moving = asked | ({"recorded": ONE_STEP} if preset.moving else {})
+    parts = [("evaluation", plant, moving, False)]
+    if preset.moving:
+        parts.append(("evaluation-trimmed", plant, moving, True))
+    if surrogate != plant:
+        parts.append(("evaluation-in-surrogate", surrogate, asked, False))
+    for folder, place, config, trim in parts:
+        where = {surrogate: "the surrogate", TANK: "the virtual tank"}.get(place, place)
+        feedback = ", with force feedback (--trim)" if trim else ""
+        for kind, paths in controllers.items():
+            result = out / folder / kind
+            # Policies have several seeds; for gaits, it is the plant's noise that differs.
+            repeats = preset.num_seeds if kind == "gaits" else 1
+            work = partial(evaluate, *paths, plant=place, config=config, repeats=repeats)
+            yield Stage(
+                f"{folder} {kind}",
+                f"evaluation of the controller {kind} in {where}{feedback}",
+                result,
+                partial(work, out=result, trim=trim),
+            )
+
+
+def _write_page(
+    controllers: list[Path], out: Path, plants: tuple[str, str], progress: Progress
+) -> None:
+    """Write the page for trying controllers, if it can simulate one of the plants."""
+    from softfin.explorer.contents import is_shown
+    from softfin.storage.registry import find_plant
+
+    # The plant of this run may itself be the surrogate's folder, perhaps spelled differently.
+    places = {Path(name).resolve(): name for name in plants}
+    shown = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
+    if shown:
+        explore(*controllers, out=out, plant=tuple(shown))
+
+
+def _run(stage: Stage, title: str, progress: Progress) -> "StageRow":
+    """Do the work of a stage unless its result exists; returns its description and times."""
+    wall_s = processor_s = None
+    if not stage.result.exists():
+        progress(title, 0.0, "")
         start_s = time.perf_counter()
         start_processor_s = time.process_time()
-        yield
+        stage.work(progress=lambda _, done, note: progress(title, done, note))
         wall_s = time.perf_counter() - start_s
         processor_s = time.process_time() - start_processor_s
-        self.stages.append(
-            {"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s}
-        )
+    row: StageRow = {
+        "stage": stage.name,
+        "what": stage.what,
+        "wall_s": wall_s,
+        "processor_s": processor_s,
+    }
+    if stage.result.name == PAGE and stage.result.exists():
+        row["page"] = PAGE
+    return row
 
-    def begin(self, name: str) -> Progress:
-        """Start a stage; returns its progress callback, which adds the stage's number."""
-        number = len(self.stages) + 1
-        count = self.count
-        self.progress(f"{number}/{count} {name}", 0.0, "")
-        return lambda stage, done, note: self.progress(f"{number}/{count} {stage}", done, note)
 
-    @property
-    def count(self) -> int:
-        """Number of stages."""
-        # The evaluation, the map, and a training for each kind and seed.
-        count = 2 + len(self.config.policies) * len(self.seeds)
-        if not is_surrogate(self.plant):
-            # Collect, fit, and evaluate in the surrogate.
-            count += 3
-        if self.config.evaluate.trim is not None:
-            count += 1
-        return count
+def _collect_results(
+    out: Path, plant: str, preset: ReproducePreset, seed: int, stages: "list[StageRow]"
+) -> "RunResults":
+    """Return the contents of ``results.json``, from the files of the stages."""
 
-    def learn_surrogate(self) -> JsonObject | None:
-        """Collect logs and fit the surrogate; returns the scores of Table I."""
-        # The run's seed replaces the seed in the configuration of the stage.
-        settings = self.config.collect.merged({"seed": self.seed}, "seed")
-        minutes = settings.logs * settings.rows / (60 * RATE_HZ)
-        what = (
-            f"{minutes:.3g} minutes of random strokes of the fin and the resulting force, "
-            f"{settings.logs} logs"
-        )
-        self.stage("collect", what, self.dataset, collect, self.plant, self.dataset, settings)
-        what = (
-            "a surrogate: neural networks that predict the fin's motion and force from its commands"
-        )
-        # `resume` continues an interrupted fit and otherwise starts one. Errors are ignored because
-        # the logs were recorded by this run and not by a user's program.
-        options = {"seed": self.seed, "resume": True, "ignore_errors": True}
-        self.stage(
-            "fit",
-            what,
-            self.surrogate,
-            fit,
-            self.dataset,
-            self.surrogate,
-            self.config.fit,
-            **options,
-        )
-        scores: JsonObject | None = artifacts.load_description(self.surrogate, "surrogate")[
-            "scores"
-        ]
-        return scores
+    def read_evaluations(folder: str) -> "dict[str, EvaluationSummary] | None":
+        files = [out / folder / kind / "evaluation.json" for kind in ("gaits", *policies)]
+        return {file.parent.name: json.loads(file.read_text()) for file in files if file.exists()}
 
-    def make_controllers(self) -> None:
-        """Produce the controller of gaits, and policies of each kind from each seed."""
-        surrogate = str(self.surrogate)
-        gaits = self.out / "gaits"
-        what = (
-            "the controller gaits: the mean forces that the fin can produce in the surrogate, and "
-            "the gaits (six actions each) that produce them"
-        )
-        self.stage("map", what, gaits, map_forces, surrogate, gaits, self.config.gaits)
-        for kind, config in self.config.policies.items():
-            policies = "one recurrent policy" if kind == "single" else "a recurrent policy per cell"
-            for seed in self.seeds:
-                out = self.controller(kind, seed)
-                what = (
-                    f"the controller {kind}: {policies}, trained in the surrogate by LSTM-PPO, "
-                    f"{config.steps:,} actions each, seed {seed}"
-                )
-                options = {"seed": seed, "resume": True}
-                self.stage(f"train {out.name}", what, out, train, surrogate, out, config, **options)
+    policies = PRESETS[preset].policies
+    surrogate = None
+    if (out / "surrogate").exists():
+        surrogate = {"scores": artifacts.load_description(out / "surrogate", "surrogate")["scores"]}
+    return {
+        **artifacts.head(REPRODUCTION_KIND),  # type: ignore[typeddict-item]
+        "title": "softfin: force control of a soft fin",
+        "preset": preset,
+        "plant": plant,
+        "seed": seed,
+        "seeds": PRESETS[preset].num_seeds,
+        "surrogate": surrogate,
+        "controllers": read_evaluations("evaluation") or {},
+        "trimmed": read_evaluations("evaluation-trimmed") or None,
+        "in_surrogate": read_evaluations("evaluation-in-surrogate") or None,
+        "stages": stages,
+        "wall_s": {row["stage"]: row["wall_s"] for row in stages if row["wall_s"] is not None},
+        "peak_memory_gib": _peak_memory_gib(),
+        "provenance": artifacts.provenance(seed=seed, plant=plant),
+    }
 
-    def controller(self, kind: str, seed: int) -> Path:
-        """Return the folder of the controller trained from a seed; there is only one for gaits."""
-        if kind == "gaits" or len(self.seeds) == 1:
-            return self.out / kind
-        return self.out / f"{kind}-{seed}"
 
-    def make_page(self) -> None:
-        """Write the page for trying the controllers of the first seed, if it can simulate a plant
-        of this run."""
-        # The plant of this run may itself be the surrogate's folder, perhaps spelled differently.
-        places = {Path(name).resolve(): name for name in (str(self.surrogate), self.plant)}
-        plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
-        if not plants:
-            return
-        what = "a page to drag the target force and watch these controllers follow it"
-        controllers = [self.controller(kind, self.seed) for kind in self.config.kinds]
-        with self.timed("explore", what):
-            explore(controllers, self.out / PAGE, plants, overwrite=True)
-        self.stages[-1]["page"] = PAGE
+def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]]:
+    """Return the figures of the stages, by section of the report and by caption."""
+    prediction = {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
+    learning = {}
+    experiment = {}
+    moving = {}
+    shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
+    seeds = range(results["seed"], results["seed"] + results["seeds"])
+    for kind in results["controllers"]:
+        caption = f"{kind} controller, seed {results['seed']}"
+        learning[caption] = _folders(out, kind, seeds)[0] / "training/learning.png"
+        experiment[caption] = out / "evaluation" / kind / "experiments.png"
+        for file in sorted((shown / kind).glob("*.png")):
+            if file.stem != "experiments":
+                moving[f"{caption}, {file.stem}"] = file
+    sections = {
+        "surrogate": prediction,
+        "learning": learning,
+        "experiment": experiment,
+        "moving": moving,
+    }
+    return {
+        section: {caption: file for caption, file in figures.items() if file.exists()}
+        for section, figures in sections.items()
+    }
 
-    def evaluate(
-        self, plant: str, folder: str, *, trim: bool = False, moving: bool = True
-    ) -> Evaluated:
-        """Evaluate all controllers on a plant; for each kind, the seeds are combined into one
-        evaluation."""
-        where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
-        what = f"evaluation of these controllers in {where}"
-        if trim:
-            what += ", with force feedback (--trim)"
-        evaluated = Evaluated()
-        changes: JsonObject = {} if trim else {"trim": None}
-        if not moving:
-            changes |= {"moving": False, "recorded": None}
-        with self.timed(folder, what):
-            target = find_plant(plant)
-            progress = self.begin(folder)
-            for place, kind in enumerate(self.config.kinds, start=1):
-                each = []
-                for seed in self.seeds:
-                    path = self.controller(kind, seed)
-                    config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
-                    controller = load_controller(path)
-                    check_limits(controller.limits, target.limits, path, plant)
-                    each.append(score_controller(controller, target, config))
-                # Not reported per seed: the first one compiles the program that the others share.
-                progress(folder, place / len(self.config.kinds), kind)
-                whole = together(each)
-                repetitions = (
-                    "of the plant's noise"
-                    if kind == "gaits"
-                    else "controllers trained from different seeds"
-                )
-                metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
-                evaluated[kind] = (
-                    write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True),
-                    whole,
-                )
-        return evaluated
 
-    def figures(
-        self, results: RunResults, evaluated: Evaluated, shown: Evaluated
-    ) -> dict[str, dict[str, Figure]]:
-        """Draw the report's figures by section; the moving references are those of `shown`."""
-        figures: dict[str, dict[str, Figure]] = {
-            "surrogate": {} if results["surrogate"] is None else self.surrogate_figures(),
-            "learning": self.learning_figures(),
-            "experiment": {},
-            "moving": {},
-        }
-        for kind, (_, evaluation) in evaluated.items():
-            caption = f"{kind} controller, seed {self.seed}"
-            figures["experiment"][caption] = experiments_figure(evaluation.recording)
-        for kind, (_, evaluation) in shown.items():
-            for moving in evaluation.moving:
-                caption = f"{kind} controller, seed {self.seed}, {moving.plan.name}"
-                figures["moving"][caption] = moving_figure(moving)
-        return figures
+def _describe(out: Path, results: "RunResults") -> Result:
+    """Return the results with the text that the command prints."""
+    from softfin.evaluation.headline import error_decimals, headline
+    from softfin.stages.tables import (
+        format_paper_tables,
+        format_table_one,
+        moving_table,
+        table_two,
+    )
 
-    def learning_figures(self) -> dict[str, Figure]:
-        """Draw the reward, and the error without exploration noise, over the training steps."""
-        if not self.config.policies:
-            return {}
-        rewards: dict[str, list[Curve]] = {}
-        errors: dict[str, list[Curve]] = {}
-        for kind in self.config.policies:
-            folders = [self.controller(kind, seed) for seed in self.seeds]
-            logs = [read_training_log(folder / TRAINING_LOG / LOG) for folder in folders]
-            rewards[kind] = [learning_curve(log, "reward") for log in logs]
-            errors[kind] = [learning_curve(log, "score_x_n", "score_y_n") for log in logs]
-        return {
-            "Mean reward per step during exploration": learning_figure(
-                rewards, "mean reward per step [N]"
-            ),
-            "Mean error of the policies without exploration noise, over both axes": learning_figure(
-                errors, "error without noise [N]"
-            ),
-        }
-
-    def surrogate_figures(self) -> dict[str, Figure]:
-        """Draw a segment of a test log and the surrogate's prediction of it."""
-        data = Dataset.open(self.dataset)
-        surrogate = load_surrogate(self.surrogate)
-        if not data.test:
-            return {}
-        log = next(data.load(data.test[:1]))
-        rows = len(log.reading.time)
-        # Start late enough to fill the surrogate's memory.
-        first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
-        ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
-        stretch = slice(first, first + ticks)
-        state = surrogate.warm(jax.tree.map(lambda x: x[first - surrogate.memory : first], log))
-        # The reading of row k follows the command of row k - 1.
-        commands = jax.tree.map(lambda x: x[first - 1 : stretch.stop - 1], log.command)
-        _, free = eqx.filter_jit(roll)(surrogate, state, commands)
-        predicted = {"free-running": np.asarray(free.force)}
-        if isinstance(surrogate, Surrogate):
-            (force,) = surrogate.predictions([log])["forcenet_measured"].series
-            # The first rows of the log have no prediction.
-            shift = rows - len(force)
-            given = force[first - shift : stretch.stop - shift]
-            predicted = {"given the angle": given, **predicted}
-        return {
-            "Force in a test log and in the surrogate": prediction_figure(
-                np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ
-            )
-        }
+    parts = []
+    if results["surrogate"] is not None:
+        parts.append(format_table_one(results["surrogate"]["scores"]))
+    plant = results["plant"]
+    evaluated = {
+        f"On {plant}": results["controllers"],
+        "The same, with force feedback (--trim)": results["trimmed"],
+        "The same, in the surrogate used for training": results["in_surrogate"],
+    }
+    for title, summaries in evaluated.items():
+        if summaries:
+            parts.append(f"{title}\n{table_two(summaries)}")
+            for name, summary in summaries.items():
+                if rows := summary.get("moving"):
+                    parts[-1] += f"\n{name}, {moving_table(rows, error_decimals(summary))}"
+    if results["preset"] == "paper":
+        parts.append(format_paper_tables())
+    processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
+    parts.append(
+        f"{sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of CPU time; peak memory "
+        f"{results['peak_memory_gib']:.1f} GiB"
+    )
+    best = headline(results)
+    parts.append(f"{'' if best is None else best.sentence}\nsee {out / 'report.html'}")
+    if any("page" in stage for stage in results["stages"]):
+        parts.append(f"{out / PAGE}: drag the target force and watch the fin follow it")
+    return Result(results, "\n\n".join(parts))
 
 
 def _peak_memory_gib() -> float:

@@ -175,8 +175,8 @@ def simulated_fins(
     PlantError for a controller that exceeds its tank's limits.
     """
     from softfin.control.store import load_controller
+    from softfin.evaluation.evaluate import check_limits
     from softfin.robot.evaluate import SimulatedFin
-    from softfin.stages.evaluation import check_limits
     from softfin.storage.registry import find_plant
     from softfin.tank import Tank
 

@@ -8,7 +8,16 @@ from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import configure
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.option_types import DATA, DIR, HIDDEN, LOGS, Config, PathLike, PlantLike
+from softfin.core.option_types import (
+    DATA,
+    DIR,
+    HIDDEN,
+    LOGS,
+    RECORDINGS,
+    Config,
+    PathLike,
+    PlantLike,
+)
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.core.seeds import check_seed
@@ -22,18 +31,25 @@ from softfin.storage.registry import check_data, plant_name
 from softfin.surrogate.registry import DEFAULT, find_architecture
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from softfin.core.plant import Plant
     from softfin.core.quantities import Log
     from softfin.data.recordings import OpenedLogs
+    from softfin.surrogate.protocol import SurrogatePlant
+
+SHOWN_TEST_S = 8
+"""Length of the segment of a test log in the figure [s]."""
 
 
 @lock_output
 def fit(
     dataset: Annotated[PathLike, LOGS],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
-    recordings: Annotated[ImportConfig | None, HIDDEN] = None,
+    recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     ignore_errors: bool = False,
     seed: int = 0,
     config: Config = None,
@@ -75,6 +91,7 @@ def fit(
     settings = configure(architecture.config(), config)
     from softfin.data.recordings import open_logs
     from softfin.data.stroke_time import stroke_time
+    from softfin.storage.figures import save_figure
     from softfin.storage.run_directory import RunDirectory
     from softfin.surrogate import save_surrogate
     from softfin.surrogate.channels import SKIPPED, ranges
@@ -101,6 +118,12 @@ def fit(
         if test:
             measured_ranges(test)
         fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
+
+        def keep(folder: Path) -> None:
+            run_directory.keep_log(folder)
+            if test:
+                save_figure(_predict_test(fitted, test[0]), folder / "prediction.png")
+
         # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
@@ -111,7 +134,7 @@ def fit(
             fitted,
             table_one(fitted, test) if test else None,
             provenance,
-            extra_files=run_directory.keep_log,
+            extra_files=keep,
             overwrite=overwrite,
             configuration=metadata["configuration"],
             training_range=ranges(opened.train),
@@ -166,6 +189,35 @@ def issue_line(counts: Mapping[str, int], dataset: Path) -> str:
     return f"{dataset}: {found}; run softfin inspect {dataset} to list them\n"
 
 
+def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
+    """Draw a segment of a test log and the surrogate's prediction of it."""
+    import equinox as eqx
+    import jax
+    import numpy as np
+
+    from softfin.core.plant import roll
+    from softfin.core.quantities import RATE_HZ
+    from softfin.evaluation.report import prediction_figure
+    from softfin.surrogate import Surrogate
+
+    rows = len(log.reading.time)
+    # Start late enough to fill the surrogate's memory.
+    first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
+    ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
+    stretch = slice(first, first + ticks)
+    state = surrogate.warm(jax.tree.map(lambda x: x[first - surrogate.memory : first], log))
+    # The reading of row k follows the command of row k - 1.
+    commands = jax.tree.map(lambda x: x[first - 1 : stretch.stop - 1], log.command)
+    _, free = eqx.filter_jit(roll)(surrogate, state, commands)
+    predicted = {"free-running": np.asarray(free.force)}
+    if isinstance(surrogate, Surrogate):
+        (force,) = surrogate.predictions([log])["forcenet_measured"].series
+        # The first rows of the log have no prediction.
+        shift = rows - len(force)
+        predicted = {"given the angle": force[first - shift : stretch.stop - shift], **predicted}
+    return prediction_figure(np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ)
+
+
 def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str | None:
     """Return a warning if the noise of the mean force hides the force in the logs; None if it does
     not, or if it is unknown."""
@@ -206,6 +258,7 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
 @lock_output
 def calibrate(
     data: Annotated[PlantLike | Path, DATA],
+    /,
     *,
     out: Annotated[PathLike, DIR],
     preset: CalibratePreset = "full",

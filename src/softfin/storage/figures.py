@@ -5,9 +5,7 @@ Colours: Okabe and Ito's palette (2008), in an order that also differs in lightn
 """
 
 import contextlib
-import hashlib
 import io
-import re
 from pathlib import Path
 from typing import Any
 
@@ -59,24 +57,12 @@ def save_figure(figure: Figure, file: Path) -> None:
     artifacts.write_file(file, _render(figure, file.suffix[1:]))
 
 
-def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
+def _render(figure: Figure, kind: str) -> bytes:
     buffer = io.BytesIO()
     with styled():
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
-        figure.savefig(buffer, format=kind, metadata=metadata, transparent=transparent)
+        figure.savefig(buffer, format=kind, metadata=metadata)
     return buffer.getvalue()
-
-
-def inline_svg(figure: Figure, name: str) -> str:
-    """Return an ``<svg>`` element for a page. Elements with different names or contents share no
-    ids."""
-    text = _render(figure, "svg", transparent=True).decode()
-    text = text[text.index("<svg") :]
-    # Matplotlib's ids repeat between figures, and ids must be unique within a page.
-    prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
-    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{prefix}-", text)
-    # A hundredth of a point is finer than any screen; rounding to it halves the size.
-    return re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\d\.\d\d)\d+", r"\1", path.group()), text)
 
 
 def with_minus_signs(text: str) -> str:

@@ -257,7 +257,7 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
 
     fix = grave(inspected(change))["degrees"]
     assert fix.startswith(
-        "--angles deg; if these integers are encoder counts instead, convert the counts in the file"
+        "--angles deg; if these integers are encoder counts instead, use --angles dynamixel"
     )
 
 

@@ -224,7 +224,8 @@ def number(value):
 
 def test_numbers_become_channels_on_their_own_clock(tmp_path, columns):
     topics = topics_of(columns)
-    topics["/motor/current"] = [(t, number(t)) for t in np.arange(0, 10.1, 0.04)]
+    topics["/motor/current"] = [(t, number(1000 * t)) for t in np.arange(0, 10.1, 0.04)]
+    topics["/pump"] = [(t, number(7)) for t in np.arange(0, 10.1, 0.5)]
     write_bag(tmp_path / "run", topics)
     (plain,), _ = opened(tmp_path / "run")
     # The force of these bags has no z, and their sensor measures no torque.
@@ -233,7 +234,8 @@ def test_numbers_become_channels_on_their_own_clock(tmp_path, columns):
     (one,), issues = opened(tmp_path / "run", topics="current=/motor/current", **options)
     time = one.start_s + one.log.reading.time - START_S
     np.testing.assert_allclose(one.log.channels["current_a"], -time, atol=1e-4)
-    assert not [issue for issue in issues if issue.name == "channel gap"]
+    assert set(one.log.channels["pump"]) == {7.0}
+    assert [issue.column for issue in issues if issue.name == "channel gap"] == ["pump"]
     np.testing.assert_array_equal(one.log.reading.force, plain.log.reading.force)
 
 

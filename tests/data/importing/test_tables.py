@@ -4,7 +4,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, SoftfinError
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
 from tests.data.faulty import tank_logs, to_columns
@@ -206,6 +206,9 @@ def means(recording) -> dict[str, float]:
     }
 
 
+WRENCH = {"force_z_n": 2.0, "torque_x_nm": 0.1, "torque_y_nm": 0.2, "torque_nm": 0.3}
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suffix):
     path = tmp_path / f"run{suffix}"
@@ -217,11 +220,11 @@ def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suf
         table["time [s]"] = table.pop("time_s")
         pq.write_table(pa.table(table), path)
     (recording,) = read(path)
-    assert means(recording) == {"torque_nm": 0.3, "current_a": 0.5}
+    assert means(recording) == WRENCH | {"current_a": 0.5}
     read_columns, unread = recording.issues
     assert "torque='Tz [mNm]' in mNm, current='motor current [mA]' in mA" in read_columns.message
     # Without a unit, a torque could be a register of counts.
-    assert "'Temp', 'valve', 'torque'" in unread.message
+    assert unread.message == "columns not read: 'Temp', 'valve', 'torque'"
 
 
 def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tmp_path, columns):
@@ -229,8 +232,8 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
     others |= {"torque_nm": np.full(6000, 0.3), "note": ["text"] * 6000}
     table = pa.table(columns | others)
     pq.write_table(table, tmp_path / "own.parquet")
-    (recording,) = read(tmp_path / "own.parquet", columns="torque=-")
-    assert means(recording) == {"Temp": 21.5, "valve": 1.0}
+    (recording,) = read(tmp_path / "own.parquet", keep="temperature_c=Temp", columns="torque=-")
+    assert means(recording) == {"temperature_c": 21.5, "valve": 1.0}
     assert recording.issues[0].message == "columns not read: 'time', 'torque_nm', 'note'"
     pq.write_table(table.drop_columns(["velocity_rad_s"]), tmp_path / "other.parquet")
     (recording,) = read(tmp_path / "other.parquet")
@@ -241,17 +244,58 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
         read(tmp_path / "doubled.parquet")
 
 
-def test_torque_and_current_follow_the_axes_and_signs(tmp_path, columns):
+def test_unknown_columns_are_kept_on_request(tmp_path, columns):
+    write_csv(tmp_path / "run.csv", with_further(columns))
+    (recording,) = read(tmp_path / "run.csv", keep="temperature_c=Temp, valve")
+    assert means(recording) == WRENCH | {"current_a": 0.5, "temperature_c": 21.5, "valve": 1.0}
+    (recording,) = read(tmp_path / "run.csv", keep="torque_nm=torque")
+    assert means(recording)["torque_nm"] == 7.0
+
+
+def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
     write_csv(tmp_path / "run.csv", with_further(columns))
     (recording,) = read(tmp_path / "run.csv", force="y,-x")
     assert means(recording) == WRENCH | {"torque_x_nm": 0.2, "torque_y_nm": -0.1, "current_a": 0.5}
     # A mirrored sensor faces the other way.
     (recording,) = read(tmp_path / "run.csv", force="y,x", negate="current")
-    assert means(recording) == {"torque_nm": -0.3, "current_a": -0.5}
+    assert means(recording) == {
+        "force_z_n": -2.0,
+        "torque_x_nm": 0.2,
+        "torque_y_nm": 0.1,
+        "torque_nm": -0.3,
+        "current_a": -0.5,
+    }
 
 
-def test_a_column_of_text_is_not_a_channel(tmp_path, columns):
-    write_csv(tmp_path / "run.csv", columns | {"current [A]": ["low"] * 6000})
+def test_one_torque_of_two_is_not_read(tmp_path, columns):
+    table = with_further(columns)
+    del table["Ty [mNm]"]
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv")
+    assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("torque_y", "keep", "kept"),
+    [([None] * 6000, "", {}), ([0.2] * 6000, "torque_y_nm=torque_y_nm", {"torque_y_nm": 0.2})],
+)
+def test_a_torque_whose_other_axis_is_empty_or_kept_unturned_is_not_read(
+    tmp_path, columns, torque_y, keep, kept
+):
+    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": torque_y}
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv", keep=keep)
+    assert means(recording) == kept
+    assert "'torque_x_nm'" in recording.issues[0].message
+
+
+def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):
+    table = columns | {
+        "current": np.full(6000, 20.0),
+        "moment": np.full(6000, 5.0),
+        "voltage_v": ["low"] * 6000,
+    }
+    write_csv(tmp_path / "run.csv", table)
     (recording,) = read(tmp_path / "run.csv")
     assert means(recording) == {}
     (recording,) = read(

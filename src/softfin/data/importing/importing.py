@@ -1,12 +1,13 @@
 """Import options of `open_logs`: columns, units, signs and clocks of third-party recordings."""
 
 import csv
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
 from softfin.core.configuration import Configuration
+from softfin.core.option_types import NAMES, PAIRS
 from softfin.data.importing.names import KINDS, UNITS, Channel, FurtherChannel
 
 NO_COLUMN = "-"
@@ -32,10 +33,10 @@ FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
 class ImportConfig(Configuration):
     """How to read recordings; the defaults match softfin's own logs."""
 
-    columns: dict[Channel, str] = pydantic.Field(default_factory=dict)
+    columns: Annotated[dict[Channel, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Column of each channel, e.g. ``angle=position,force_x=Fx``; ``-`` means that the file has no
     such column. Needed only for names that softfin does not recognize."""
-    topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
+    topics: Annotated[dict[Topic, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin``; ``:fin`` selects one of several
     joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench,
     current=/fin/current)."""
@@ -45,7 +46,7 @@ class ImportConfig(Configuration):
     """Velocity of all commands in files without that column [rad/s]."""
     time_unit: TimeUnit | None = None
     """Unit of the time column (default: from the column name, or s)."""
-    angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
+    angles: Annotated[dict[AngleChannel, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Unit of all angle channels, e.g. ``deg``, or of individual ones, e.g.
     ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. (default: from the
     column names, or rad)."""
@@ -56,7 +57,7 @@ class ImportConfig(Configuration):
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y.
     Torque and force z follow."""
-    negate: tuple[SignedChannel | FurtherChannel, ...] = ()
+    negate: Annotated[tuple[SignedChannel | FurtherChannel, ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""

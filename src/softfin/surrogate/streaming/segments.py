@@ -104,7 +104,7 @@ class Table(NamedTuple):
             raise LogError(
                 f"training logs: the longest of {len(logs)} has {max(rows)} rows; at least "
                 f"{ticks + MAX_DELAY + 1} are required; record longer logs, or use shorter "
-                "segments (--set ticks=N)"
+                "segments (--ticks N)"
             )
         columns = jnp.asarray(stack_channels(logs))
         return cls(

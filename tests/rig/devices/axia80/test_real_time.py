@@ -11,8 +11,6 @@ from softfin.rig.devices.axia80.sensor import axia80_sensor
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
 
-pytestmark = pytest.mark.real_time
-
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):

@@ -76,13 +76,14 @@ class RdtSource(RecordSource):
         """Read the sensor's pages and request its stream; raises RigError if the sensor does not
         match the rig's file and DeviceError if it does not respond."""
         config = self.config
+        clock = self.clock
         self._reset()
-        settings = read_settings(config.address, config.http_port, self.clock.fetch_page)
+        settings = read_settings(config.address, config.http_port, clock.fetch_page)
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
         # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.
         self.identity = {"serial": settings.calsn, "own_zero": settings.setbias}
-        self._client = RdtClient(config.address, config.rdt_port, self.clock)
+        self._client = RdtClient(config.address, config.rdt_port, clock)
         self._request()
 
     def take(self) -> list[TimedWrench]:

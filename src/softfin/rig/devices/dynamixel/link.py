@@ -137,8 +137,9 @@ class ServoLink:
         with self._using_port() as port:
             # Late answers must not be taken for the next one. If a second program takes them first,
             # this is an error, but the instruction, which may be a stop, must be sent.
+            # `reset_input_buffer` raises termios.error, which is not an OSError, at an unplugged
+            # port.
             with contextlib.suppress(OSError):
-                # Not `reset_input_buffer`, which raises termios.error at an unplugged port.
                 port.read(port.in_waiting)
             self._parser.clear()
             port.write(encode_packet(Packet(self._config.id, instruction, request)))
