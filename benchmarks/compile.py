@@ -31,7 +31,7 @@ AGAIN_S = 3
 LISTED = 12
 """Functions whose programs take longest, in each row."""
 
-TRAIN = ("steps=960", "num_evaluations=1")
+TRAIN = ("--steps=960", "--num-evaluations=1")
 """Two updates, with the programs of many."""
 
 
@@ -65,7 +65,7 @@ def stages(surrogate: Path) -> list[Stage]:
                 "paper",
                 "--out",
                 str(single),
-                *(f"--set={change}" for change in TRAIN),
+                *TRAIN,
             ),
             25,
         ),

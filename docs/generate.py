@@ -6,7 +6,6 @@ Sphinx runs it before each build (conf.py); what it writes is not kept in git.
 
 import inspect
 import json
-import os
 import re
 import tempfile
 import types
@@ -20,8 +19,8 @@ from results.parts import PARTS, SEEDS
 from results.record import FOLDER, load, shown, source
 
 import softfin
-from softfin.cli import COMMANDS, import_arguments
-from softfin.cli.options import format_help
+from softfin.cli import COMMANDS, import_function
+from softfin.cli.application import format_help
 from softfin.core import errors
 from softfin.core.configuration import Configuration
 from softfin.stages.example import write_example
@@ -56,17 +55,15 @@ def explorer(out: Path) -> None:
         controllers = [
             path for name in ("single", "grid", "gaits") if (path := example / name).is_dir()
         ]
-        explore(
-            controllers, out / "explorer.html", ("tank", str(example / "surrogate")), overwrite=True
-        )
+        plants = ("tank", str(example / "surrogate"))
+        explore(*controllers, out=out / "explorer.html", plant=plants, overwrite=True)
 
 
 def command_line() -> Iterator[str]:
-    # As wide as a page, whatever the terminal is.
-    os.environ["COLUMNS"] = "92"
     for name in COMMANDS:
-        yield from (f"## {name}", "")
-        yield from ("```text", format_help(import_arguments(name), f"softfin {name}"), "```", "")
+        # As wide as a page.
+        text = format_help(import_function(name), f"softfin {name}", width=92)
+        yield from (f"## {name}", "", "```text", text, "```", "")
 
 
 def configuration() -> Iterator[str]:
@@ -171,9 +168,7 @@ def _plain(value: Any) -> Any:
 
 
 def python() -> Iterator[str]:
-    names = sorted(
-        name for name in softfin.__all__ if name not in ("testing", "GRID", "SINGLE", "PRESETS")
-    )
+    names = sorted(name for name in softfin.__all__ if name not in ("testing", "GRID", "SINGLE"))
     stages = [name for name in names if inspect.isfunction(getattr(softfin, name))]
     classes = [name for name in names if inspect.isclass(getattr(softfin, name))]
     configurations = [name for name in classes if issubclass(getattr(softfin, name), Configuration)]
@@ -190,8 +185,7 @@ def python() -> Iterator[str]:
         "",
         "Their fields are those of [the command line's files](configuration.md): "
         + ", ".join(f"`softfin.{name}`" for name in configurations)
-        + "; `softfin.SINGLE`, `softfin.GRID` and "
-        "`softfin.PRESETS` are the defaults of training and of `softfin reproduce`.",
+        + "; `softfin.SINGLE` and `softfin.GRID` are the defaults of training.",
         "",
     )
     for module in ("softfin.testing", "softfin.gym"):

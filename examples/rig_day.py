@@ -87,7 +87,11 @@ def softfin(*words: str) -> None:
 
 
 def settings(changes: tuple[str, ...]) -> list[str]:
-    return [word for change in changes for word in ("--set", change)]
+    options = []
+    for change in changes:
+        path, _, value = change.partition("=")
+        options.append(f"--{path.replace('_', '-')}={value}")
+    return options
 
 
 if __name__ == "__main__":

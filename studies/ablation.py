@@ -19,7 +19,6 @@ from jaxtyping import Array
 
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
-from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
 from softfin.stages.surrogates import fit
 from softfin.storage.dataset import Dataset, write_dataset
@@ -86,11 +85,7 @@ def main() -> None:
     if words.dataset is None:
         words.dataset = words.out / "recorded"
         if not (words.dataset / "dataset.json").exists():
-            collect(
-                "tank",
-                words.dataset,
-                CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000),
-            )
+            collect(out=words.dataset, logs=max(2, round(words.minutes / 3)), rows=18_000)
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
     base = (f"members={words.members}", f"batch={words.batch}", *updates)
@@ -110,8 +105,8 @@ def main() -> None:
             try:
                 fit(
                     data,
-                    folder,
-                    StreamingConfig().changed((*base, *VARIANTS[name])),
+                    out=folder,
+                    config=StreamingConfig().changed((*base, *VARIANTS[name])),
                     seed=words.seed,
                     resume=True,
                 )

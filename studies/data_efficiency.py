@@ -9,28 +9,26 @@ another. RUN/study.json and the table on standard output hold whatever is there 
 draws it. A seed is other logs and other weights.
 """
 
+import argparse
 import json
 import statistics
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
 from matplotlib.ticker import LogLocator
-from softfin.cli.options import HelpRequested, Option, format_help, parse
 
-from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
 from softfin.core.randomness import named_key
-from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
 from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
-from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
+from softfin.surrogate import load_surrogate
 from softfin.tank import SensorConfig, Tank, TankConfig
 from studies.free_runs import free_run, plan_segments, run_from_rest, score_segments, take
 
@@ -75,36 +73,29 @@ LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
 """Of the sets: colour, marker."""
 
 
-Numbers = Annotated[
-    tuple[int, ...], Option("N,...", parse=lambda text, _: tuple(map(int, text.split(","))))
-]
+def numbers(text: str) -> tuple[int, ...]:
+    return tuple(map(int, text.split(",")))
 
 
-class Options(Configuration):
-    """How long to record: free-running error against minutes of tank time."""
-
-    run: Annotated[Path, Option("RUN", positional=True)]
-    """Folder of all recordings, fits and scores."""
-    minutes: Numbers = (2, 5, 10, 30, 100, 333)
-    """Of random excitation that streaming networks are fitted to."""
-    paper: Numbers = ()
-    """Of random excitation that the paper's networks are fitted to."""
-    seeds: Numbers = (0, 1, 2)
-    """Of logs and weights."""
-    set: tuple[str, ...] = ()
-    """Changes of the streaming networks' configuration: path=value."""
-    logs: Path | None = None
-    """Dataset whose training logs are learnt from, cut into minutes; without it the tank is
-    recorded."""
-    same: Path | None = None
-    """Dataset whose training logs are tested on as those of the same tank; recorded without it."""
-    other: Path | None = None
-    """Dataset whose test logs are used as those of perturbed tanks; recorded without it."""
-    figure: Path | None = None
-    """Picture to draw: a .png or .svg."""
+def parse(words: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("run", type=Path, help="folder of all recordings, fits and scores")
+    # Minutes of random excitation that streaming networks and the paper's are fitted to.
+    parser.add_argument("--minutes", type=numbers, default=(2, 5, 10, 30, 100, 333))
+    parser.add_argument("--paper", type=numbers, default=())
+    parser.add_argument("--seeds", type=numbers, default=(0, 1, 2), help="of logs and weights")
+    parser.add_argument("--members", type=int, help="of the streaming ensemble")
+    parser.add_argument("--drive-updates", type=int)
+    parser.add_argument("--force-updates", type=int)
+    # Datasets in place of those that are recorded: to learn from, cut into minutes; to test on.
+    parser.add_argument("--logs", type=Path)
+    parser.add_argument("--same", type=Path)
+    parser.add_argument("--other", type=Path)
+    parser.add_argument("--figure", type=Path, help="picture to draw: a .png or .svg")
+    return parser.parse_args(words)
 
 
-def main(options: Options) -> None:
+def main(options: argparse.Namespace) -> None:
     tests = {"same": test_logs(options, "same"), "other": test_logs(options, "other")}
     tests["silent"] = without_sensor(options.run, tests["same"])
     for minutes in options.minutes:
@@ -123,7 +114,7 @@ def main(options: Options) -> None:
 
 
 def study(
-    options: Options, kind: str, minutes: int, seed: int, tests: dict[str, list[Log]]
+    options: argparse.Namespace, kind: str, minutes: int, seed: int, tests: dict[str, list[Log]]
 ) -> None:
     """Record, fit and score one case, or whatever of it is not there yet."""
     name = f"{kind}-{minutes:03d}/seed-{seed}"
@@ -132,15 +123,19 @@ def study(
     if not artifacts.is_kind(fitted, "surrogate"):
         paper = kind == "paper"
         logs = learning_logs(options, minutes, seed)
-        config = FitConfig() if paper else StreamingConfig().changed(options.set)
-        fit(logs, fitted, config, seed=seed, resume=True, progress=told(name))
+        sizes = ("members", "drive_updates", "force_updates")
+        given = {size: getattr(options, size) for size in sizes}
+        config = {} if paper else {size: value for size, value in given.items() if value}
+        model = "paper" if paper else "streaming"
+        report = told(name)
+        fit(logs, out=fitted, model=model, config=config, seed=seed, resume=True, progress=report)
     if not scores.exists():
         surrogate = load_surrogate(fitted)
         found = {name: scored(surrogate, logs) for name, logs in tests.items()}
         artifacts.write_file(scores, artifacts.dump_json(found))
 
 
-def learning_logs(options: Options, minutes: int, seed: int) -> Path:
+def learning_logs(options: argparse.Namespace, minutes: int, seed: int) -> Path:
     """A dataset of logs of a minute each; those of one seed begin alike."""
     path = options.run / "logs" / f"random-{minutes:03d}" / f"seed-{seed}"
     if artifacts.is_kind(path, "dataset"):
@@ -153,8 +148,8 @@ def learning_logs(options: Options, minutes: int, seed: int) -> Path:
             {"plant": "tank", "cut_from": str(options.logs)},
         )
     else:
-        config = CollectConfig(logs=minutes, test_logs=0, rows=MINUTE, seed=seed)
-        collect("tank", path, config, progress=told(path.name))
+        sizes = {"logs": minutes, "test_logs": 0, "rows": MINUTE}
+        collect(out=path, **sizes, seed=seed, progress=told(path.name))
     return path
 
 
@@ -177,14 +172,13 @@ def pieces(folder: Path, minutes: int, seed: int) -> list[Log]:
     )
 
 
-def test_logs(options: Options, name: str) -> list[Log]:
+def test_logs(options: argparse.Namespace, name: str) -> list[Log]:
     """Ten of the same tank, three of perturbed tanks, 20,000 rows each, recorded once."""
     given = {"same": options.same, "other": options.other}[name]
     path = given or options.run / "logs" / f"test-{name}"
     if given is None and not artifacts.is_kind(path, "dataset"):
         counts = {"same": {"logs": 10, "test_logs": 0}, "other": {"logs": 1, "test_logs": 3}}[name]
-        config = CollectConfig(seed=TEST_SEED, **counts)
-        collect("tank", path, config, progress=told(path.name))
+        collect(out=path, **counts, seed=TEST_SEED, progress=told(path.name))
     data = Dataset.open(path)
     return list(data.load((data.train if name == "same" else data.test)[:10]))
 
@@ -374,7 +368,4 @@ def told(name: str) -> Any:
 
 
 if __name__ == "__main__":
-    try:
-        main(parse(Options, sys.argv[1:]))
-    except HelpRequested:
-        print(format_help(Options, "data_efficiency.py"))
+    main(parse())

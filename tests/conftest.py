@@ -89,6 +89,11 @@ def pytest_configure(config: pytest.Config) -> None:
                 file.unlink()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that writes the files of help texts anew."""
+    parser.addoption("--rewrite", action="store_true", help="write the help of commands anew")
+
+
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
     """What a module has compiled is kept for the next ones as long as there is room."""

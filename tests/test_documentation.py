@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from itertools import chain, combinations, product
 from pathlib import Path
 
@@ -22,10 +22,8 @@ from results.__main__ import make_parser
 from results.parts import PARTS
 
 import softfin
-from softfin import cli
-from softfin.cli import COMMANDS, main
-from softfin.cli.options import list_fields
-from softfin.core.configuration import Configuration
+from softfin.cli import COMMANDS, application, import_function, main
+from softfin.core.configuration import Configuration, configure
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
@@ -35,7 +33,6 @@ from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
 from softfin.robot.node_config import RobotNodeConfig
-from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
@@ -64,53 +61,43 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
     "ros2": (NodeConfig(),),
-    "demo": (PRESETS["demo"],),
-    "reproduce": tuple(PRESETS.values()),
 }
-"""Of each command that has one, what its --config and --set may change."""
+"""Of each command that has one, what --config and fields as options may change."""
 
 WHOLE = tuple(shown for shown in commands() if not shown.in_sentence)
 IN_SENTENCES = tuple(shown for shown in commands() if shown.in_sentence)
-
-
-def import_arguments(name: str) -> type:
-    return cli.import_arguments(name)
 
 
 class Parsed(Exception):
     """In place of the work: the words were understood."""
 
 
-def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> object:
+def understood(words: tuple[str, ...]) -> partial | None:
     """What the command line makes of these words, its configuration included; it ends where it
     refuses them."""
-
-    def run(arguments: object) -> None:
-        raise Parsed(arguments)
-
     name = command_name(words)
-    if name in COMMANDS:
-        monkeypatch.setattr(import_arguments(name), "__call__", run)
-        # Whether what is named is there is another question.
-        monkeypatch.setattr(import_arguments(name), "check", lambda arguments: None, raising=False)
-    with pytest.raises(Parsed) as parsed:
+    if name not in COMMANDS:
         main([*words, "--debug"])
-    (arguments,) = parsed.value.args
+        return None
+    flags = ("--json", "--debug")
+    rest = [word for word in words[len(name.split()) :] if word not in flags]
+    call = application.parse(import_function(name), rest)
+    parameters = inspect.signature(call.func).parameters
     bases = CONFIGURATIONS.get(name, ())
-    assert bool(bases) == hasattr(arguments, "configured"), (
+    assert bool(bases) == ("config" in parameters), (
         f"{name}: CONFIGURATIONS does not say what it configures"
     )
-    if bases:
-        configured(arguments, bases)
-    return arguments
+    if bases and "config" in call.keywords:
+        configured(call.keywords["config"], bases)
+    return call
 
 
-def configured(arguments: object, bases: tuple[Configuration, ...]) -> None:
+def configured(changes: object, bases: tuple[Configuration, ...]) -> None:
     """One of them takes all that was asked for; else what the first has against it is raised."""
     refusals = []
     for base in bases:
         try:
-            arguments.configured(base)
+            configure(base, changes)
         except ConfigurationError as error:
             refusals.append(error)
         else:
@@ -138,17 +125,17 @@ def test_a_command_of_a_block_is_understood_as_it_stands(shown, monkeypatch, tmp
                 name, _, text = block.text.removeprefix("%%writefile ").partition("\n")
                 (tmp_path / name).write_text(text)
         monkeypatch.chdir(tmp_path)
-    understood(softfin_words(shown), monkeypatch)
+    understood(softfin_words(shown))
 
 
 @pytest.mark.parametrize(
     "shown", [shown for shown in IN_SENTENCES if softfin_words(shown)], ids=str
 )
-def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(shown, monkeypatch):
-    completed(softfin_words(shown), monkeypatch)
+def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(shown):
+    completed(softfin_words(shown))
 
 
-def test_a_command_without_its_program_is_understood_too(monkeypatch):
+def test_a_command_without_its_program_is_understood_too():
     """As `evaluate --trim`."""
     found = [
         text
@@ -157,10 +144,10 @@ def test_a_command_without_its_program_is_understood_too(monkeypatch):
     ]
     assert found
     for text in found:
-        completed(tuple(text.split()), monkeypatch)
+        completed(tuple(text.split()))
 
 
-def completed(words, monkeypatch):
+def completed(words):
     name = command_name(words)
     rest = words[len(name.split()) :]
     assert name in COMMANDS
@@ -168,7 +155,7 @@ def completed(words, monkeypatch):
     for value in ((), ("1",)):
         for places, missing in product(((), ("x",), ("x", "x")), subsets(required(name))):
             try:
-                understood((*name.split(), *places, *rest, *value, *missing), monkeypatch)
+                understood((*name.split(), *places, *rest, *value, *missing))
             except (SystemExit, ConfigurationError, pytest.fail.Exception) as error:
                 refusals.append(error)
             else:
@@ -177,9 +164,9 @@ def completed(words, monkeypatch):
 
 
 def required(name: str) -> list[str]:
-    """What has no default: options, and what is given by its place."""
-    fields = import_arguments(name).model_fields
-    return [f"--{field.replace('_', '-')}" for field, info in fields.items() if info.is_required()]
+    """Options without a default."""
+    arguments = application.make_app(import_function(name)).assemble_argument_collection()
+    return [each.name for each in arguments if each.required and each.name.startswith("--")]
 
 
 def subsets(names: list[str]) -> list[tuple[str, ...]]:
@@ -196,49 +183,34 @@ VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
 
 @cache
 def options() -> set[str]:
-    """Of all commands and scripts."""
-    names = {
-        field.name.removeprefix("--")
-        for command in COMMANDS
-        for field in list_fields(import_arguments(command))
-    }
-    names |= {"help", "version"}
+    """Of all commands and scripts, and the fields of configurations."""
+    names = {"--help", "--version", "--json", "--debug", "--extra"}
+    for command in COMMANDS:
+        names.update(application.list_options(import_function(command)))
+    for base in chain(*CONFIGURATIONS.values()):
+        names.update(dotted(base.model_dump()))
     scripts = "".join(
         path.read_text()
         for folder in ("docs", "examples", "studies")
         for path in (ROOT / folder).glob("*.py")
     )
-    names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
-    names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))
-    return {f"--{name.replace('_', '-')}" for name in names}
+    names |= set(re.findall(r'add_argument\("(--[\w-]+)"', scripts))
+    return names
+
+
+def dotted(values: dict[str, object], path: str = "--") -> Iterator[str]:
+    """The options of nested fields."""
+    for name, value in values.items():
+        option = f"{path}{name.replace('_', '-')}"
+        yield option
+        if isinstance(value, dict):
+            yield from dotted(value, f"{option}.")
 
 
 def test_an_option_in_a_sentence_is_one_that_there_is():
     named = {text.split()[0].partition("=")[0] for _, _, text in spans() if text.startswith("--")}
     assert len(named) > 20
-    assert named <= options() | {"--extra"}, named - options()
-
-
-def test_a_setting_in_a_sentence_is_one_that_some_configuration_takes():
-    bases = [base for each in CONFIGURATIONS.values() for base in each]
-    found = [
-        text.partition("--set ")[2].split()[0]
-        for _, _, text in spans()
-        if text.startswith("--set ")
-    ]
-    found = [change for change in found if change != "path=value"]
-    assert len(found) >= 4
-    for change in found:
-        assert any(takes(base, change) for base in bases), (
-            f"--set {change}: no configuration takes it"
-        )
-
-
-def takes(base: Configuration, change: str) -> bool:
-    with contextlib.suppress(ConfigurationError):
-        base.changed([change])
-        return True
-    return False
+    assert named <= options(), named - options()
 
 
 @pytest.mark.parametrize(

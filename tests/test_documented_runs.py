@@ -21,12 +21,12 @@ from tests.test_golden import check_keys
 
 
 def flat(values, path=""):
-    """Nested values as what --set takes."""
+    """Nested values as options."""
     for name, value in values.items():
         if isinstance(value, dict):
             yield from flat(value, f"{path}{name}.")
         else:
-            yield f"{path}{name}={value}"
+            yield f"--{path}{name}={value}".replace("_", "-")
 
 
 TINY = {
@@ -35,16 +35,14 @@ TINY = {
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
     "calibrate": "--config calibrate.yaml --evaluations 0",
-    "calibrate --config": "--config docs/calibration.yaml "
-    + " ".join(f"--set {change}" for change in flat(staged.CALIBRATE)),
+    "calibrate --config": "--config docs/calibration.yaml " + " ".join(flat(staged.CALIBRATE)),
     "train": "--config train.yaml",
     "train --range": "--range reach",
-    "train --set": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
+    "train --ppo.num-envs": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
-    "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
 }
@@ -79,11 +77,12 @@ ELSEWHERE = {
     "reproduce --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
-    "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
+    "monitor .": "tests/cli/test_monitor.py",
+    "monitor dataset-bags": "tests/cli/test_monitor.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",

@@ -136,7 +136,12 @@ def test_reachable_forces() -> None:
 def test_evaluation(tmp_path: Path) -> None:
     before = json.loads((GOLDEN / "evaluation/evaluation.json").read_text())
     config = softfin.EvaluateConfig(references=((1, -1),), seconds=6, seeds=1)
-    softfin.evaluate(GOLDEN / "single", str(GOLDEN / "streaming"), tmp_path / "evaluation", config)
+    softfin.evaluate(
+        GOLDEN / "single",
+        plant=str(GOLDEN / "streaming"),
+        out=tmp_path / "evaluation",
+        config=config,
+    )
     now = json.loads((tmp_path / "evaluation/evaluation.json").read_text())
     for axis, scores in before["references"][0].items():
         if axis in ("x", "y"):
@@ -151,9 +156,8 @@ def test_evaluation(tmp_path: Path) -> None:
 def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
-    dataset, _ = softfin.import_logs(
-        GOLDEN / "session.mcap", tmp_path / "dataset", ignore_errors=True
-    )
+    softfin.import_logs(GOLDEN / "session.mcap", out=tmp_path / "dataset", ignore_errors=True)
+    dataset = softfin.Dataset.open(tmp_path / "dataset")
     found = [summary(log) for log in dataset.load(dataset.train)]
     np.testing.assert_allclose(found, EXPECTED["bag"], **EXACT)
 
@@ -231,9 +235,13 @@ def test_a_dataset_and_a_recording_with_numbers(tmp_path: Path) -> None:
     found = [summary(log) for log in dataset.load((*dataset.train, *dataset.test))]
     np.testing.assert_allclose(found, expected["dataset"], **EXACT)
     options = softfin.ImportConfig(shortest_s=1)
-    recorded, _ = softfin.import_logs(
-        NUMBERED / "session.mcap", tmp_path / "dataset", options, ignore_errors=True
+    softfin.import_logs(
+        NUMBERED / "session.mcap",
+        out=tmp_path / "dataset",
+        recordings=options,
+        ignore_errors=True,
     )
+    recorded = softfin.Dataset.open(tmp_path / "dataset")
     np.testing.assert_allclose(
         [summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT
     )

@@ -146,7 +146,7 @@ def paper(seed: int) -> Step:
     return step(f"paper-{seed}", command, 10, seed, "--epochs 1 --batch 64")
 
 
-PAPER_BOX = "--box '{low:' [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
+PAPER_BOX = "--box '{low: [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
 """Gaits over the paper's range of references only."""
 
 POLICIES = {

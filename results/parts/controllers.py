@@ -51,7 +51,7 @@ def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Par
         own = (None,) if kind == "gaits" else seeds
         trained[kind] = [make_controller(kind, "published", seed) for seed in own]
         judged[kind] = [
-            evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5)
+            evaluate(each, "published", "judged", f"{JUDGED} --error-map 7", 0.5)
             for each in trained[kind]
         ]
 

@@ -133,10 +133,10 @@ def tank(seeds: Sequence[int]) -> Part:
     """The default tank against the published fin."""
     others = [11 + seed for seed in seeds]
     command = (
-        "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml "
+        "softfin calibrate published --velocity-rad-s '[0.5, 1.57]' --config docs/calibration.yaml "
         "--evaluations 0"
     )
-    tiny = "--segments 10 --test-segments 2 --segment-s 6 --iterations 1 --set step=0.3"
+    tiny = "--segments 10 --test-segments 2 --segment-s 6 --iterations 1 --step 0.3"
     fitted = step("calibration", command, 30, tiny=tiny)
     judged = step(
         "tank-r2",

@@ -4,10 +4,10 @@ The stages of the pipeline, the records that they exchange, and the plants and c
 
     import softfin
 
-    softfin.collect("tank", Path("dataset"))
-    softfin.fit(Path("dataset"), Path("surrogate"))
-    softfin.map_forces("surrogate", Path("gaits"))
-    softfin.evaluate(Path("gaits"), "tank", Path("evaluation"))
+    softfin.collect(plant="tank", out="dataset")
+    softfin.fit("dataset", out="surrogate")
+    softfin.map_forces("surrogate", out="gaits")
+    softfin.evaluate("gaits", plant="tank", out="evaluation")
 
 ``__init__.pyi`` lists the public names. Each is imported on first use, so that importing softfin is
 fast. In Gymnasium, the environment is ``softfin.gym:softfin/ForceTracking-v0``, or just

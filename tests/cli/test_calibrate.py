@@ -1,22 +1,19 @@
-import json
-
 import pytest
 
-from softfin.cli import main
-from softfin.cli.surrogates import calibration_tables
+from softfin.stages.surrogates import calibration_tables
 from tests.cli.test_cli import fails
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant accepts"),
+        (["tank", "--velocity-rad-s", "[3, 2]"], "velocity_rad_s = 3, 2: the plant accepts"),
         (
-            ["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"],
+            ["tank", "--parameters.fin.lenght-m", "[0.1, 0.3]"],
             "unknown parameter 'fin.lenght_m'; did you mean 'fin.length_m'?",
         ),
         (
-            ["tank", "--set", "parameters.fin.length_m=3"],
+            ["tank", "--parameters.fin.length-m=3"],
             "parameters.fin.length_m = 3: Input should be a valid tuple",
         ),
         (
@@ -54,34 +51,6 @@ RESULT = {
     },
     "trades": [{"parameters": ["fin.length_m", "water.drag_coefficient"], "correlation": -0.95}],
 }
-
-
-def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, monkeypatch):
-    seen = {}
-
-    def stage(data, out, config, **options):
-        seen.update(options, data=data, config=config)
-        return RESULT
-
-    monkeypatch.setattr("softfin.stages.surrogates.calibrate", stage)
-    words = [
-        "calibrate",
-        "tank",
-        "--preset",
-        "quick",
-        "--velocity",
-        "1,2",
-        "--seed",
-        "3",
-        "--evaluations",
-        "5",
-    ]
-    main([*words, "--resume", "--out", str(tmp_path / "x")])
-    assert (seen["data"], seen["seed"], seen["resume"]) == ("tank", 3, True)
-    assert (seen["config"].velocity_rad_s, seen["config"].evaluations) == ((1.0, 2.0), 5)
-    assert capsys.readouterr().out == calibration_tables(RESULT) + "\n"
-    main([*words, "--json", "--out", str(tmp_path / "x")])
-    assert json.loads(capsys.readouterr().out)["parameters"] == RESULT["parameters"]
 
 
 def test_errors_of_a_small_fin_have_two_digits():

@@ -31,7 +31,7 @@ def test_help_lists_every_command(capsys):
             ["collect", "--out", "x", "--logs", "0"],
             "logs = 0: Input should be greater than or equal to 1",
         ),
-        (["collect", "--out", "x", "--set", "excitation.hold_min=1"], "did you mean 'hold_min_s'?"),
+        (["collect", "--out", "x", "--excitation.hold-min", "1"], "did you mean 'hold_min_s'?"),
         (
             ["train", "tests.plants:AnalyticFin", "--steps", "3", "--out", "x"],
             "steps = 3: fewer than one rollout",
@@ -51,7 +51,7 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     def interrupted(*words, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit", interrupted)
+    monkeypatch.setattr("softfin.data.recordings.open_logs", interrupted)
     (tmp_path / "log.csv").touch()
     line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
     assert line == (
@@ -64,7 +64,7 @@ def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeyp
     def full(*words, **options):
         raise OSError(28, "No space left on device", "train/0000.parquet")
 
-    monkeypatch.setattr("softfin.stages.collect.collect", full)
+    monkeypatch.setattr("softfin.data.collect.collect_logs", full)
     line, code = fails(capsys, "collect", "--out", str(tmp_path / "d"))
     assert "train/0000.parquet: No space left on device" in line
     assert code == 1

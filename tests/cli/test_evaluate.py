@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import pytest
 
@@ -7,7 +6,6 @@ import softfin
 from softfin.cli import main
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS
-from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
 from tests.evaluation.test_moving import Covering
@@ -32,7 +30,7 @@ class Loaded(Covering):
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
-    monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.evaluation.evaluate.load_controller", lambda path: Loaded())
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")
@@ -46,8 +44,7 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
         "--reference-file",
         str(file),
         "--error-map",
-        "--set",
-        "error_map=3",
+        "3",
         "--moving",
     )
     main(["evaluate", controller, *QUICK, "--out", str(out), *options])
@@ -66,13 +63,6 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
     )
     written = json.loads((out / "evaluation.json").read_text())
     assert len(written["moving"]) == 5
-
-
-def test_seven_by_seven_references_make_the_map_where_nothing_else_is_asked(
-    controller, capsys, tmp_path
-):
-    main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), "--error-map", "--json"])
-    assert json.loads(capsys.readouterr().out)["error_map"]["points"] == 7
 
 
 def test_random_references_are_one_line_and_the_configuration_is_kept(controller, capsys, tmp_path):
@@ -124,17 +114,28 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_randomization_that_is_a_whole_number_is_one(controller):
+def test_a_randomization_is_for_the_tank(controller):
     with pytest.raises(
         ConfigurationError, match=r"--randomize 0: requires the virtual tank as plant, got"
     ):
-        softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
+        softfin.evaluate(controller, plant="tests.plants:AnalyticFin", randomize=0)
 
 
 def test_a_randomization_of_0_is_the_very_same_tank(controller):
-    config = EvaluateConfig(seconds=3, seeds=1, references=((1.0, 1.0),))
-    plain = softfin.evaluate(Path("controller"), TANK, config=config)
-    assert softfin.evaluate(Path("controller"), TANK, config=config, randomize=0) == plain
+    options = {"plant": TANK, "config": {"seconds": 3, "seeds": 1, "references": ((1, 1),)}}
+    plain = softfin.evaluate(controller, **options)
+    again = softfin.evaluate(controller, **options, randomize=0)
+    assert again["references"] == plain["references"]
+
+
+def test_controllers_of_several_seeds_are_the_repetitions_of_one_evaluation(controller):
+    options = {"seconds": 3, "repeats": 1, "reference": ((1, 1),)}
+    plant = "tests.plants:NoisyFin"
+    both = softfin.evaluate(controller, controller, plant=plant, **options)
+    each = [softfin.evaluate(controller, plant=plant, seed=seed, **options) for seed in (0, 1)]
+    assert both["conditions"]["seeds"] == 2
+    errors = [one["references"][0]["x"]["error_n"] for one in each]
+    assert both["references"][0]["x"]["error_seeds_n"] == errors
 
 
 @pytest.mark.parametrize(

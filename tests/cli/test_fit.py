@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from softfin.cli import main
-from softfin.cli.surrogates import warning
 from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
-from softfin.stages.controllers import propose_clock
+from softfin.stages.controllers import find_clock
+from softfin.stages.surrogates import issue_line
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig, StreamingSurrogate, load_surrogate
@@ -67,7 +67,7 @@ def fails(capsys, *words):
     [
         ([], StreamingConfig()),
         (
-            ["--model", "streaming", "--set", "members=2", "--set", "drive.units=3"],
+            ["--model", "streaming", "--members", "2", "--drive.units", "3"],
             StreamingConfig(members=2, drive={"units": 3}),
         ),
         (["--model", "paper", "--epochs", "3"], FitConfig(epochs=3)),
@@ -116,12 +116,11 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
     ("words", "expected"),
     [
         (["--seed", "2147483648"], "--seed 2147483648: must be a whole number from 0"),
-        (["--set", "epochs=3"], "--set: unknown key 'epochs'"),
-        (["--set", "force.wakes=3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
-        (["--set", "burn_in=900"], "burn_in must be less than ticks = 250"),
-        (["--epochs", "3"], "--epochs: applies only to --model paper, got --model streaming; use"),
+        (["--epochs", "3"], "--epochs: unknown option"),
+        (["--force.wakes", "3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
+        (["--burn-in", "900"], "burn_in must be less than ticks = 250"),
         (
-            ["--set", "ticks=300", "--set", "burn_in=10"],
+            ["--ticks", "300", "--burn-in", "10"],
             "has 300 rows; at least 321 are required; record longer",
         ),
     ],
@@ -163,7 +162,7 @@ def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, ask
     ],
 )
 def test_warnings_are_told_in_one_line_and_notes_alone_are_not(counts, line):
-    assert warning(counts, Path("d")) == line
+    assert issue_line(counts, Path("d")) == line
 
 
 def test_one_log_is_too_few(capsys, tmp_path):
@@ -191,16 +190,16 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
 
 
 def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, monkeypatch):
-    monkeypatch.setattr("softfin.stages.surrogates.stroke_time", lambda logs: 0.12)
+    monkeypatch.setattr("softfin.data.stroke_time.stroke_time", lambda logs: 0.12)
     out = tmp_path / "s"
     assert "stroke time 0.12 s: softfin train --clock auto would use 8 Hz" in run(
         capsys, "fit", dataset, "--out", str(out)
     )
-    assert propose_clock(str(out)) == ActionClock.at(8, 0.75)
+    assert find_clock("auto", str(out)) == ActionClock.at(8, 0.75)
 
 
 def test_no_clock_is_proposed_without_strokes(capsys, tmp_path, dataset, asked):
     out = tmp_path / "s"
     assert "stroke time" not in run(capsys, "fit", dataset, "--out", str(out))
     with pytest.raises(ConfigurationError, match=r"stroke time of .* is unknown; use a rate"):
-        propose_clock(str(out))
+        find_clock("auto", str(out))

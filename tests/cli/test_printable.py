@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from softfin.cli import main
-from softfin.cli.common import Common, progress
+from softfin.cli.output import print_result, progress
 
 HOSTILE = "fin\x1b]0;owned\x07\x9b2J\u202e"
 ESCAPED = r"fin\x1b]0;owned\x07\x9b2J\u202e"
@@ -31,7 +31,7 @@ def test_a_name_of_a_file_is_shown_without_its_escapes(capsys, tmp_path):
 
 
 def test_results_are_shown_without_escapes_and_in_lines(capsys):
-    Common().tell({}, f"{HOSTILE}: well\nsecond line")
+    print_result(f"{HOSTILE}: well\nsecond line", as_json=False)
     assert capsys.readouterr().out == f"{ESCAPED}: well\nsecond line\n"
 
 

@@ -110,7 +110,7 @@ def test_controllers_are_for_all_fins_or_for_each(capsys, gaits):
             ("ros2", "ucat", "--max-thrust.tail", "3"),
             "max_thrust is for tail, but U-CAT has front_right",
         ),
-        (("ros2", "ucat", "--domain", "300"), "domain = 300"),
+        (("ros2", "ucat", "--domain", "300"), "--domain 300"),
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(capsys, transport, words, told):

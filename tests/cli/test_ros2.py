@@ -200,7 +200,7 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
         (["--arm"], "in a script, add --yes"),
         (["--reference=4,0"], "not trained for"),
         (["--joint-topic", "joint"], "joint_topic = 'joint'"),
-        (["--domain", "300"], "domain = 300"),
+        (["--domain", "300"], "--domain 300"),
         (["--fin", "left fin"], "fin 'left fin': cannot be part of a topic name"),
         (
             ["--fin", "left", "--reference-timeout-s", "null"],

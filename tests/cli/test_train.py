@@ -5,56 +5,75 @@ from typing import Any
 
 import pytest
 
-from softfin.cli.controllers import TrainArguments, missed_targets
 from softfin.core.action_clock import ActionClock
-from softfin.core.errors import ConfigurationError
-from softfin.learning.configuration import GRID, SINGLE, for_clock
-
-SCORES = [{"reference_n": [1, 0], "tracked_reference_n": [1, 0], "error_n": [0.1, 0.2]}]
-
-
-def asked(monkeypatch: pytest.MonkeyPatch, **options: Any) -> dict[str, Any]:
-    """What the stage is called with."""
-    given: dict[str, Any] = {}
-
-    def train(plant: str, out: Path, config: Any, **rest: Any) -> Any:
-        given.update(rest, plant=plant, out=out, config=config)
-        return {"controller": str(out), "scores": SCORES}
-
-    monkeypatch.setattr("softfin.stages.controllers.train", train)
-    TrainArguments(surrogate="tank", out=Path("out"), **options)()
-    return given
+from softfin.core.errors import ConfigurationError, LogError
+from softfin.learning.configuration import GRID, SINGLE, TrainConfig, for_clock
+from softfin.stages.controllers import missed_targets, train
 
 
-def test_without_options_a_single_policy_is_trained_over_the_reach(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = asked(monkeypatch)
-    assert given["config"] == SINGLE
-    assert given["seed"] == 0
-    assert "( 1.00,  0.00)  0.100, 0.200" in capsys.readouterr().out
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """Returns the configuration and the seed of a training, which is not done."""
+    monkeypatch.setattr("softfin.gaits.usable.check_usable", lambda *given: None)
+    monkeypatch.setattr(
+        "softfin.gaits.simulate.survey", lambda *given: type("Surveyed", (), {"reachable": None})
+    )
+
+    def ask(**options: Any) -> tuple[TrainConfig, int]:
+        found: list[Any] = []
+
+        def stop(plant: Any, config: Any, reachable: Any, seed: int, *rest: Any) -> None:
+            found.extend((config, seed))
+            raise LogError("enough")
+
+        monkeypatch.setattr("softfin.learning.train.train_policies", stop)
+        with pytest.raises(LogError, match="enough"):
+            train("tests.plants:StrokeFin", out=tmp_path / "out", **options)
+        config, seed = found
+        return config, seed
+
+    return ask
 
 
-def test_a_grid_has_its_own_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
-    given = asked(monkeypatch, controller="grid", range="paper", steps=960, seed=4)
-    assert given["config"] == GRID.merged({"range": "paper", "steps": 960}, "test")
-    assert given["seed"] == 4
+def test_without_options_a_single_policy_is_trained_over_the_reach(asked: Any) -> None:
+    assert asked() == (SINGLE, 0)
 
 
-def test_a_run_is_resumed_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not asked(monkeypatch)["resume"]
-    assert asked(monkeypatch, resume=True)["resume"]
+def test_a_grid_has_its_own_defaults(asked: Any) -> None:
+    config, seed = asked(controller="grid", range="paper", steps=960, seed=4)
+    assert config == GRID.merged({"range": "paper", "steps": 960}, "test")
+    assert seed == 4
 
 
-def test_steps_that_are_given_are_those_of_the_given_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    given = asked(monkeypatch, clock="6,1", steps=12_000)
+def test_steps_that_are_given_are_those_of_the_given_clock(asked: Any) -> None:
+    config, _ = asked(clock="6,1", steps=12_000)
     expected = for_clock(SINGLE, ActionClock.at(6, 1)).merged({"steps": 12_000}, "test")
-    assert given["config"] == expected
+    assert config == expected
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "field"),
+    [("controller", "grid", "controller"), ("steps", 2400, "steps"), ("range", "paper", "range")],
+)
+def test_an_option_wins_over_the_file(
+    asked: Any, tmp_path: Path, option: str, value: Any, field: str
+) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text("controller: single\nsteps: 4800\nrange: reach\nlattice: 3\n")
+    config, _ = asked(config=file, **{option: value})
+    assert getattr(config, field) == value
+    assert config.lattice == 3
+
+
+def test_a_clock_wins_over_the_file(asked: Any) -> None:
+    changes = {"task": {"clock": {"ticks": [25], "window_actions": 8}}, "ppo": {"num_steps": 60}}
+    config, _ = asked(config=changes, clock="6,1")
+    assert config.task.clock == ActionClock.at(6, 1)
 
 
 def test_a_clock_that_does_not_exist_is_refused_before_anything_is_computed() -> None:
     with pytest.raises(ConfigurationError, match="--clock 6;1: must be paper, auto, a rate in Hz"):
-        TrainArguments(surrogate="tank", out=Path("out"), clock="6;1").check()
+        train("tank", out="out", clock="6;1")
 
 
 def test_a_controller_that_misses_its_targets_is_not_written_without_a_warning() -> None:

@@ -10,7 +10,7 @@ import softfin.cli
 from softfin.core import choices
 from softfin.data.importing.names import UNITS
 from softfin.learning.configuration import TRAIN_PRESETS
-from softfin.stages.reproduce_config import PRESETS as REPRODUCTIONS
+from softfin.stages.reproduce import PRESETS as REPRODUCTIONS
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
 
 COMMAND_LINE = Path(softfin.cli.__file__).parent

@@ -1,6 +1,3 @@
-import re
-from xml.etree import ElementTree
-
 import numpy as np
 import pytest
 from matplotlib import rcParams
@@ -11,7 +8,7 @@ from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure
 from softfin.learning.controllers import learning_figure
 from softfin.storage import figures as style
-from softfin.storage.figures import inline_svg, save_figure
+from softfin.storage.figures import save_figure
 from tests.plants import AnalyticFin, Flapper
 
 
@@ -113,28 +110,3 @@ def test_the_same_figure_gives_the_same_file(tmp_path, suffix):
     one, other = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
     assert one == other
     assert one.startswith({"svg": b"<?xml", "png": b"\x89PNG"}[suffix])
-
-
-def test_inline_svgs_share_no_ids_and_every_link_finds_its_target(evaluation):
-    figures = {
-        "traces": experiments_figure(evaluation.recording),
-        "learning": learning_figure({"a": [([0, 1], [0, 1])]}, "reward"),
-    }
-    figures["traces again"] = figures["traces"]
-    seen: set[str] = set()
-    for name, figure in figures.items():
-        text = inline_svg(figure, name)
-        ElementTree.fromstring(text)
-        ids = re.findall(r'\bid="([^"]+)"', text)
-        assert len(ids) == len(set(ids))
-        assert not seen & set(ids)
-        links = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
-        assert links
-        assert {a or b for a, b in links} <= set(ids)
-        seen |= set(ids)
-
-
-def test_text_stays_text_and_is_escaped():
-    text = inline_svg(learning_figure({"<b> & co": [([0, 1], [0, 1])]}, "reward"), "x")
-    assert "&lt;b&gt; &amp; co" in text
-    assert "<b>" not in text

@@ -49,7 +49,9 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(folder):
     out = folder / "explore.html"
-    summary = explore([folder / "gaits", folder / "grid"], out, ["tank", str(folder / "<b>fin")])
+    summary = explore(
+        folder / "gaits", folder / "grid", out=out, plant=("tank", str(folder / "<b>fin"))
+    )
     assert summary == {
         "page": str(out),
         "controllers": ["gaits", "grid"],
@@ -89,17 +91,17 @@ def test_every_element_that_the_scripts_name_is_there_and_every_control_has_a_na
 def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path):
     out = tmp_path / "explore.html"
     with pytest.raises(ConfigurationError, match="gaits: contains duplicates; name each once"):
-        explore([folder / "gaits", folder / "gaits"], out)
+        explore(folder / "gaits", folder / "gaits", out=out)
     with pytest.raises(ConfigurationError, match="plants: none given; name at least one"):
-        explore([folder / "gaits"], out, [])
+        explore(folder / "gaits", out=out, plant=())
     with pytest.raises(PlantError, match="cannot run in the page"):
-        explore([folder / "gaits"], out, ["tests.plants:AnalyticFin"])
+        explore(folder / "gaits", out=out, plant=("tests.plants:AnalyticFin",))
     slow = tmp_path / "slow.yaml"
     slow.write_text("drive: {fastest_rad_s: 2}\n")
     with pytest.raises(
         PlantError, match=r"commands a velocity of 1 \.\. 3\.14, .* accepts 1 \.\. 2"
     ):
-        explore([folder / "gaits"], out, [str(slow)])
+        explore(folder / "gaits", out=out, plant=(str(slow),))
     assert not out.exists()
 
 
@@ -112,7 +114,7 @@ def test_two_controllers_of_one_kind_are_told_apart_by_their_folders(folder, tmp
 @pytest.fixture(scope="module")
 def page_by_hand(folder):
     out = folder / "by-hand.html"
-    summary = explore([], out, ["tank", str(folder / "<b>fin")])
+    summary = explore(out=out, plant=("tank", str(folder / "<b>fin")))
     assert (summary["controllers"], summary["plants"]) == ([], ["tank", "<b>fin"])
     return out
 
@@ -472,9 +474,9 @@ def test_the_gaits_of_the_example_hold_a_dragged_force_within_a_tenth_of_a_newto
     page = tmp_path / "explore.html"
     example = Path(str(EXAMPLE))
     explore(
-        [example / kind for kind in ("gaits", "single", "grid")],
-        page,
-        ["tank", str(example / "surrogate")],
+        *(example / kind for kind in ("gaits", "single", "grid")),
+        out=page,
+        plant=("tank", str(example / "surrogate")),
     )
     assert page.stat().st_size < 1_500_000
     browser.complaints.clear()

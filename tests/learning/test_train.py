@@ -7,16 +7,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from softfin.stages.reproduce_config import PRESETS
 
+from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.gaits.reachable import PAPER_REFERENCES, Reachable, bounding_box
 from softfin.learning import train as training
-from softfin.learning.configuration import GRID, PAPER_PRESETS, SINGLE, TrainConfig, training_cells
+from softfin.learning.configuration import (
+    GRID,
+    SINGLE,
+    TRAIN_PRESETS,
+    TrainConfig,
+    training_cells,
+)
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.train import TrainedPolicies, train_policies
+from softfin.stages.reproduce import PRESETS
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.task import TaskConfig
@@ -194,10 +201,13 @@ def test_a_rollout_that_ends_within_a_cycle_of_the_clock_is_refused() -> None:
 
 
 def test_a_reproduction_has_the_budgets_and_references_of_the_paper() -> None:
-    paper = PRESETS["paper"]
-    assert (paper.single, paper.grid) == tuple(PAPER_PRESETS.values())
-    assert [config.steps for config in PAPER_PRESETS.values()] == [30_000, 10_000]
-    assert {config.range for config in PAPER_PRESETS.values()} == {"paper"}
+    paper = [
+        configure(TRAIN_PRESETS[kind], changes)
+        for kind, changes in PRESETS["paper"].policies.items()
+    ]
+    assert [config.controller for config in paper] == ["single", "grid"]
+    assert [config.steps for config in paper] == [30_000, 10_000]
+    assert {config.range for config in paper} == {"paper"}
     for config in (SINGLE, GRID):
         assert config.task.episode_actions / 3 == 30
 

@@ -1,8 +1,7 @@
 """The last steps of a stop, which all drives share."""
 
-from softfin.rig.simulated_clock import SimulatedClock
-
 from softfin.core.errors import DeviceError
+from softfin.emulation.clock import SimulatedClock
 from softfin.rig.drive_safety import stays_off
 
 

@@ -4,17 +4,20 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from softfin.core.errors import ArtifactError, ConfigurationError
+from softfin.core.configuration import configure
+from softfin.core.errors import ArtifactError
 from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
+from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, together
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.evaluation.report import write_report
 from softfin.evaluation.scores import Scores
-from softfin.stages.reproduce import RESULTS, _Reproduction
-from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
-from softfin.storage.dataset import write_dataset
+from softfin.gaits.force_map import MapConfig
+from softfin.learning.configuration import TRAIN_PRESETS
+from softfin.stages import reproduce
+from softfin.stages.surrogates import _predict_test
 from softfin.surrogate import save_surrogate
+from softfin.surrogate.registry import find_architecture
 from tests.control.folders import folder_option
 from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
@@ -41,106 +44,102 @@ def test_what_several_controllers_warn_of_is_said_once():
     assert together(each).warnings == ("one", "another")
 
 
-def test_controllers_with_different_clocks_are_refused_before_any_work():
-    with pytest.raises(ConfigurationError, match=r"single\.task\.clock is .*, but gaits\.clock is"):
-        PRESETS["tiny"].changed(["gaits.clock.ticks=[25]", "gaits.clock.window_actions=8"])
-
-
-@pytest.mark.parametrize("asked", [{"error_map": 3}, {"random": 9}])
-def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
-    (name,) = asked
-    with pytest.raises(
-        ConfigurationError, match=rf"evaluate\.{name} is set, .* omit it, .* softfin evaluate"
-    ):
-        ReproduceConfig.build({"evaluate": asked})
-
-
-def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_path):
-    out = tmp_path / "run"
-    kept = tmp_path / ".run.replaced"
-
-    def claim(overwrite):
-        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, silent).claim(
-            False, overwrite
-        )
-
-    claim(False)
-    assert not kept.exists()
-    (out / RESULTS).write_text("of the first run")
-    claim(True)
-    assert (kept / RESULTS).read_text() == "of the first run"
-    assert not (out / RESULTS).exists()
-    # The second run is stopped, and a third one begun.
-    claim(True)
-    assert (kept / RESULTS).read_text() == "of the first run"
+def claim(out, seed=0, resume=False, overwrite=False):
+    reproduce._claim(out, "tests.plants:AnalyticFin", "demo", seed, resume, overwrite)
 
 
 def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes_on(tmp_path):
     out = tmp_path / "run"
-
-    def claim(seed, overwrite):
-        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), seed, silent).claim(
-            True, overwrite
-        )
-
-    claim(0, overwrite=False)
+    claim(out, resume=True)
     (out / "dataset").mkdir()
-    claim(0, overwrite=True)
+    with pytest.raises(ArtifactError, match="already exists"):
+        claim(out)
+    claim(out, resume=True, overwrite=True)
     assert (out / "dataset").exists()
     with pytest.raises(
         ArtifactError, match=r"belongs to another run \(seed was 0 and is 1\).*or use --overwrite"
     ):
-        claim(1, overwrite=False)
-    claim(1, overwrite=True)
+        claim(out, 1, resume=True)
+    claim(out, 1, resume=True, overwrite=True)
     assert not (out / "dataset").exists()
+
+
+def test_a_stage_whose_result_exists_is_skipped(tmp_path):
+    done = []
+
+    def work(progress):
+        progress("fit", 0.5, "half")
+        done.append(progress)
+
+    said = []
+    stage = reproduce.Stage("fit", "a surrogate", tmp_path / "surrogate", work)
+    row = reproduce._run(stage, "2/9 fit", lambda *report: said.append(report))
+    assert row["wall_s"] >= 0
+    assert said == [("2/9 fit", 0.0, ""), ("2/9 fit", 0.5, "half")]
+    (tmp_path / "surrogate").mkdir()
+    assert reproduce._run(stage, "2/9 fit", silent)["wall_s"] is None
+    assert len(done) == 1
+
+
+@pytest.mark.parametrize("preset", reproduce.PRESETS)
+def test_the_configurations_of_a_preset_fit_their_stages(preset):
+    changes = reproduce.PRESETS[preset]
+    configure(CollectConfig(), changes.collect)
+    configure(find_architecture(changes.model).config(), changes.fit)
+    configure(MapConfig(), changes.gaits)
+    for kind, policy in changes.policies.items():
+        configure(TRAIN_PRESETS[kind], policy)
+    configure(EvaluateConfig(), {"recorded": reproduce.ONE_STEP, **changes.evaluate})
+
+
+def test_of_a_surrogate_nothing_is_collected_or_fitted(tmp_path):
+    save_surrogate(
+        tmp_path / "fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
+    )
+    fin = str(tmp_path / "fin")
+    stages = reproduce._list_stages(tmp_path / "run", fin, reproduce.PRESETS["tiny"], 3)
+    names = [stage.name for stage in stages]
+    assert names[:3] == ["map", "train single-3", "train single-4"]
+    assert not any("in-surrogate" in name for name in names)
+    assert names[-1] == "explore"
 
 
 def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_plants_can_move_in_one(
     tmp_path,
 ):
-    config = PRESETS["tiny"].model_copy(update={"grid": None})
-    for kind, place in (
-        ("gaits", "gaits"),
-        ("single", "single-3"),
-        ("single", "single-4"),
-    ):
-        folder_option(kind, tmp_path / "made").rename(tmp_path / place)
+    for kind in ("gaits", "single"):
+        folder_option(kind, tmp_path / "made").rename(tmp_path / kind)
     save_surrogate(
         tmp_path / "surrogate", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
     )
-    run = _Reproduction("tank", tmp_path, config, 3, silent)
-    run.make_page()
-    page = (tmp_path / "explore.html").read_text()
-    assert re.findall(r"<option value=\"\d\">([^<]*)<", page.partition("Speed")[0]) == [
+    page = tmp_path / "explore.html"
+    controllers = [tmp_path / "gaits", tmp_path / "single"]
+    plants = (str(tmp_path / "surrogate"), "tank")
+    reproduce._write_page(controllers, page, plants, progress=silent)
+    assert re.findall(r"<option value=\"\d\">([^<]*)<", page.read_text().partition("Speed")[0]) == [
         "gaits",
         "single",
         "by hand",
         "tank",
         "surrogate",
     ]
-    (stage,) = run.stages
-    assert stage["page"] == "explore.html"
-    write_report(tmp_path / "report.html", {"stages": run.stages})
-    assert (
-        '<a href="explore.html">A page to drag the target force'
-        in (tmp_path / "report.html").read_text()
-    )
+    other = tmp_path / "other.html"
+    reproduce._write_page(controllers, other, ("tests.plants:AnalyticFin",) * 2, progress=silent)
+    assert not other.exists()
 
 
 @pytest.mark.parametrize("kind", [paper, small], ids=["paper", "streaming"])
-def test_a_test_log_is_drawn_with_each_prediction_of_its_force(kind, tmp_path, monkeypatch):
+def test_a_test_log_is_drawn_with_each_prediction_of_its_force(kind, monkeypatch):
     """A network that is given the measured angle is drawn, too, if there is no ensemble."""
     log = paper.log(900)
-    write_dataset(tmp_path / "dataset", [log], [log], {})
-    save_surrogate(tmp_path / "surrogate", kind.surrogate(), None, {})
     drawn = {}
 
     def draw(measured, predicted, start_s):
         drawn.update(predicted, measured=measured)
         return Figure()
 
-    monkeypatch.setattr("softfin.stages.reproduce.prediction_figure", draw)
-    _Reproduction("tank", tmp_path, PRESETS["tiny"], 0, silent).surrogate_figures()
+    monkeypatch.setattr("softfin.evaluation.report.prediction_figure", draw)
+    _predict_test(kind.surrogate(), log)
     first = 450
     np.testing.assert_array_equal(drawn.pop("measured"), log.reading.force[first:])
     assert drawn.pop("free-running").shape == (900 - first, 2)

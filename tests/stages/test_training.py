@@ -18,9 +18,7 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import SINGLE
-from softfin.stages import controllers
 from softfin.stages.controllers import map_forces, train
-from softfin.stages.ray_training import _train
 from softfin.storage.run_directory import read_training_log
 from tests.plants import NoisyFin, StrokeFin
 
@@ -73,7 +71,7 @@ class Said:
 
 
 def test_a_map_is_a_controller_that_tells_what_the_fin_can_produce(tmp_path: Path) -> None:
-    summary = map_forces(StrokeFin(), tmp_path / "gaits", MAP)
+    summary = map_forces(StrokeFin(), out=tmp_path / "gaits", config=MAP)
     controller = load_controller(tmp_path / "gaits")
     assert isinstance(controller.step, GaitStep)
     assert controller.reachable is not None
@@ -85,7 +83,7 @@ def test_a_map_is_a_controller_that_tells_what_the_fin_can_produce(tmp_path: Pat
 
 
 def test_a_plant_without_gradients_is_trained_over_its_reach(tmp_path: Path) -> None:
-    result = train(Foreign(), tmp_path / "out", PPO, seed=3)
+    result = train(Foreign(), out=tmp_path / "out", config=PPO, seed=3)
     controller = load_controller(tmp_path / "out")
     assert controller.reachable is not None
     (cell,) = controller.cells
@@ -110,39 +108,38 @@ def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patches:
-        patches.setattr(controllers, "save_policies", kill)
+        patches.setattr("softfin.learning.controllers.save_policies", kill)
         with pytest.raises(KeyboardInterrupt):
-            train(StrokeFin(), tmp_path / "out", PPO)
+            train(StrokeFin(), out=tmp_path / "out", config=PPO)
     return tmp_path / "out"
 
 
 def test_a_killed_training_resumes_and_a_finished_one_is_not_repeated(killed: Path) -> None:
     with pytest.raises(ArtifactError, match="an unfinished run; continue with --resume, or"):
-        train(StrokeFin(), killed, PPO)
+        train(StrokeFin(), out=killed, config=PPO)
     with pytest.raises(ArtifactError, match=r"another run \(seed was 0 and is 1\)"):
-        train(StrokeFin(), killed, PPO, seed=1, resume=True)
-    result = train(StrokeFin(), killed, PPO, resume=True)
+        train(StrokeFin(), out=killed, config=PPO, seed=1, resume=True)
+    result = train(StrokeFin(), out=killed, config=PPO, resume=True)
     said = Said()
-    assert train(StrokeFin(), killed, PPO, resume=True, progress=said) == result
+    assert train(StrokeFin(), out=killed, config=PPO, resume=True, progress=said) == result
     assert said.stages == []
-
-
-def test_a_worker_of_a_cluster_resumes_the_training_of_one_that_died(killed: Path) -> None:
-    result = _train({"plant": StrokeFin(), "out": killed, "config": PPO})
-    assert isinstance(result, dict)
-    assert result["controller"] == str(killed)
 
 
 def test_a_plant_without_gradients_has_no_map(tmp_path: Path) -> None:
     with pytest.raises(PlantError, match="no gradient with respect to its commands"):
-        map_forces(Foreign(), tmp_path / "gaits", MAP)
+        map_forces(Foreign(), out=tmp_path / "gaits", config=MAP)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_range_out_of_reach_leaves_nothing_behind(tmp_path: Path) -> None:
     said = Said()
     with pytest.raises(ConfigurationError, match=r"range paper: .* its reach is x "):
-        train(StrokeFin(gain=0.01), tmp_path / "out", PPO.changed(["range=paper"]), progress=said)
+        train(
+            StrokeFin(gain=0.01),
+            out=tmp_path / "out",
+            config=PPO.changed(["range=paper"]),
+            progress=said,
+        )
     assert said.stages == ["survey"]
     assert list(tmp_path.iterdir()) == []
 
@@ -150,7 +147,7 @@ def test_a_range_out_of_reach_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_a_reach_below_the_noise_leaves_nothing_behind(tmp_path: Path) -> None:
     said = Said()
     with pytest.raises(PlantError, match=r"reach of \S+ N is below the noise"):
-        train(NoisyFin(noise_n=9.0), tmp_path / "out", PPO, progress=said)
+        train(NoisyFin(noise_n=9.0), out=tmp_path / "out", config=PPO, progress=said)
     assert said.stages == ["survey"]
     assert list(tmp_path.iterdir()) == []
 
@@ -160,7 +157,7 @@ def test_an_output_that_exists_is_refused_before_any_search(tmp_path: Path) -> N
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").touch()
     with pytest.raises(ArtifactError):
-        train(StrokeFin(), tmp_path / "out", PPO, progress=said)
+        train(StrokeFin(), out=tmp_path / "out", config=PPO, progress=said)
     with pytest.raises(ArtifactError):
-        map_forces(StrokeFin(), tmp_path / "out", MAP, progress=said)
+        map_forces(StrokeFin(), out=tmp_path / "out", config=MAP, progress=said)
     assert said.stages == []

@@ -1,7 +1,6 @@
 """Two processes never write to one output."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -9,7 +8,6 @@ from softfin.core.errors import ArtifactError
 from softfin.core.file_lock import lock_file, unlock_file
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
-from softfin.stages.live import collect_live
 from softfin.stages.reproduce import reproduce
 from softfin.stages.surrogates import calibrate, fit
 from softfin.storage.output_lock import lock_output
@@ -33,25 +31,22 @@ def held(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{}, {"resume": True}, {"overwrite": True}])
-@pytest.mark.parametrize("stage", [train, fit, calibrate, reproduce])
-def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, options):
+@pytest.mark.parametrize(
+    ("stage", "given"), [(train, ["missing"]), (fit, ["a"]), (calibrate, ["a"]), (reproduce, [])]
+)
+def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, given, options):
     checkpoint = held.with_name(".out.unfinished") / CHECKPOINT
     checkpoint.parent.mkdir()
     checkpoint.write_text("of the first run")
     with pytest.raises(ArtifactError, match=MESSAGE):
-        stage(Path("missing"), held, **options)
+        stage(*given, out=held, **options)
     assert checkpoint.read_text() == "of the first run"
 
 
-@pytest.mark.parametrize("stage", [collect, map_forces])
-def test_a_second_stage_is_refused(held, stage):
+@pytest.mark.parametrize(("stage", "given"), [(collect, []), (map_forces, ["missing"])])
+def test_a_second_stage_is_refused(held, stage, given):
     with pytest.raises(ArtifactError, match=MESSAGE):
-        stage("missing", held)
-
-
-def test_a_second_collection_is_refused_before_anything_is_opened(held):
-    with pytest.raises(ArtifactError, match=MESSAGE):
-        collect_live(None, held, None, None)
+        stage(*given, out=held)
 
 
 def test_a_link_to_the_output_is_the_same_output(held):

@@ -79,15 +79,13 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         lambda model: find_architecture(model)._replace(fit=fit_streaming),
     )
     surveyed = SimpleNamespace(reachable=KNOWN.reachable)
-    monkeypatch.setattr("softfin.stages.controllers.survey", lambda *asked: surveyed)
-    monkeypatch.setattr(
-        "softfin.stages.controllers.train_policies", lambda *asked: untrained(SINGLE)
-    )
-    monkeypatch.setattr("softfin.stages.controllers.find_force_map", lambda *asked: KNOWN)
+    monkeypatch.setattr("softfin.gaits.simulate.survey", lambda *asked: surveyed)
+    monkeypatch.setattr("softfin.learning.train.train_policies", lambda *asked: untrained(SINGLE))
+    monkeypatch.setattr("softfin.gaits.force_map.find_force_map", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
-    fit(tmp_path / "dataset", tmp_path / "surrogate")
-    train(surrogate, tmp_path / "policy")
-    map_forces(surrogate, tmp_path / "gaits")
+    fit(tmp_path / "dataset", out=surrogate)
+    train(surrogate, out=tmp_path / "policy")
+    map_forces(surrogate, out=tmp_path / "gaits")
     expected = ranges(logs[:3])
     for file in (
         "surrogate/surrogate.json",

@@ -200,20 +200,20 @@ def _call(
     from softfin.cli.output import print_result, progress
 
     if "-h" in words or "--help" in words:
-        application.print_help(function, f"softfin {name}")
+        sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
         return
     typed = [word for word in words if word not in ("--json", "--debug")]
     call = application.parse(function, typed)
-    if call.options.get("arm"):
+    if call.keywords.get("arm"):
         # Imported here, because most commands do not need the rig.
         from softfin.rig.stop import undisturbed_after_stop
 
         until_exit.enter_context(undisturbed_after_stop())
     if "progress" in inspect.signature(function).parameters:
         with progress() as report:
-            result = call.run(progress=report)
+            result = call(progress=report)
     else:
-        result = call.run()
+        result = call()
     print_result(result, as_json="--json" in words)
 
 

@@ -6,10 +6,12 @@ configuration, such as ``--excitation.hold-min-s 0.2``.
 
 import difflib
 import inspect
+import io
 import re
+import shutil
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
@@ -29,18 +31,6 @@ EPILOGUE = (
 )
 
 
-class Call(NamedTuple):
-    """A function and the arguments that were typed for it."""
-
-    function: Callable[..., object]
-    positional: tuple[Any, ...]
-    options: dict[str, Any]
-
-    def run(self, **more: object) -> object:
-        """Call the function, with `more` keyword arguments."""
-        return self.function(*self.positional, **self.options, **more)
-
-
 def make_app(function: Callable[..., object], program: str = "softfin") -> App:
     """Return the application that parses the arguments of a function."""
     app = App(
@@ -53,7 +43,11 @@ def make_app(function: Callable[..., object], program: str = "softfin") -> App:
         help_flags=(),
         version_flags=(),
         default_parameter=Parameter(
-            negative=(), name_transform=option_name, show_default=_show_default
+            negative=(),
+            name_transform=option_name,
+            show_default=_show_default,
+            # The last value counts, so that a script may append options.
+            allow_repeating=True,
         ),
     )
     app.default(function)
@@ -61,8 +55,10 @@ def make_app(function: Callable[..., object], program: str = "softfin") -> App:
 
 
 def _show_default(default: object) -> str | None:
-    is_shown = not isinstance(default, bool) and default not in (None, (), {})
-    return str(default) if is_shown else None
+    if isinstance(default, bool) or default in (None, (), {}):
+        return None
+    values = default if isinstance(default, tuple) else (default,)
+    return " ".join(map(str, values))
 
 
 def list_options(function: Callable[..., object]) -> tuple[str, ...]:
@@ -71,13 +67,17 @@ def list_options(function: Callable[..., object]) -> tuple[str, ...]:
     return tuple(name for argument in arguments if argument.show for name in argument.names)
 
 
-def print_help(function: Callable[..., object], program: str, width: int | None = None) -> None:
-    """Print the help of a command, as wide as the terminal."""
-    make_app(function, program).help_print([], console=Console(width=width, highlight=False))
+def format_help(function: Callable[..., object], program: str, width: int | None = None) -> str:
+    """Return the help of a command, as wide as the terminal."""
+    console = Console(file=io.StringIO(), width=width or shutil.get_terminal_size().columns)
+    with console.capture() as capture:
+        make_app(function, program).help_print([], console=console)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
-def parse(function: Callable[..., object], words: Sequence[str]) -> Call:
-    """Parse the words of a command; raises ConfigurationError with a one-line message."""
+def parse(function: Callable[..., object], words: Sequence[str]) -> "partial[object]":
+    """Return a call of the function with the arguments that were typed; raises ConfigurationError
+    with a one-line message."""
     options = list_options(function)
     changes: dict[str, str] = {}
     if CONFIG in inspect.signature(function).parameters:
@@ -92,7 +92,7 @@ def parse(function: Callable[..., object], words: Sequence[str]) -> Call:
     if changes or CONFIG in given:
         file = given.get(CONFIG)
         given[CONFIG] = Changes(None if file is None else Path(file), changes, options)
-    return Call(function, bound.args, given)
+    return partial(function, *bound.args, **given)
 
 
 def _join_negative(words: Sequence[str]) -> list[str]:

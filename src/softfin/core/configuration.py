@@ -4,7 +4,6 @@
 import difflib
 import re
 import reprlib
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
@@ -165,18 +164,11 @@ def _explain(
     cls: type[pydantic.BaseModel], error: pydantic.ValidationError, values: Mapping[str, Any]
 ) -> str:
     errors = error.errors(include_url=False)
-    # If a value may be one of several configurations, pydantic tries each; the user probably meant
-    # the one with the fewest errors.
-    tried = Counter(_alternative(each["loc"]) for each in errors)
-    meant = min(tried, key=lambda each: (each is not None, tried[each]))
     # A misspelled key also causes a missing one; the misspelled key is the better clue.
-    first = min(
-        (each for each in errors if _alternative(each["loc"]) == meant),
-        key=lambda each: each["type"] != "extra_forbidden",
-    )
-    place = [part for part in first["loc"] if part != meant]
+    first = min(errors, key=lambda each: each["type"] != "extra_forbidden")
+    place = first["loc"]
     *parents, leaf = place or ("",)
-    name = ".".join(str(part) for part in place)
+    name = ".".join(map(str, place))
     if first["type"] == "extra_forbidden":
         model: Any = cls
         part: Any = values
@@ -203,15 +195,6 @@ def _field_class(field: pydantic.fields.FieldInfo, values: Any) -> Any:
         if isinstance(function, Chosen):
             return function.choose(values)
     return field.annotation
-
-
-def _alternative(place: Sequence[int | str]) -> str | None:
-    """Return the configuration class, such as ``FitConfig``, that pydantic inserts into a field
-    path."""
-    return next(
-        (part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")),
-        None,
-    )
 
 
 def _nearest(name: str, allowed: Mapping[str, object]) -> str:

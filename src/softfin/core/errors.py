@@ -15,7 +15,7 @@ class InputError(SoftfinError):
 
 
 class ConfigurationError(InputError):
-    """An option, YAML file or ``--set`` that does not match the configuration."""
+    """An option or a YAML file that does not match the configuration."""
 
 
 class LogError(InputError):

@@ -102,8 +102,8 @@ class Rig:
 
 
 def zero_force(rig: Rig, seconds: float = 2.0) -> JsonObject:
-    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest or
-    the zero was not accepted. The rig is closed afterwards."""
+    """Set the force zero to the force at rest; raises DeviceError if the fin is not at rest. The
+    rig is closed afterwards."""
     try:
         rig.sensor.open()
         return force_zero.zero_force(rig.sensor, rig.config, seconds)

@@ -39,8 +39,8 @@ def collect(
     differ only in their seed.
 
     Args:
-        plant: The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or
-            package.module:plant. Real: rig or ros2, optionally followed by :FILE.
+        plant: tank, a YAML file, a surrogate's folder, package.module:plant, rig[:FILE] or
+            ros2[:FILE].
         out: Dataset folder to write.
         logs: Number of training logs (default: 100, as in the paper).
         test_logs: Number of test logs, each in a perturbed tank (default: 3, as in the paper).
@@ -49,8 +49,7 @@ def collect(
         config: `CollectConfig`; its fields are options too, such as --excitation.hold-min-s 0.2.
         resume: Continue after the last complete log (real fins only).
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
         overwrite: Replace existing output, and discard an unfinished run.
         progress: Function that is called with the progress.
 

@@ -177,8 +177,7 @@ def train(
         out: Controller folder to write.
         controller: single: one policy for all references (default); grid: one policy per cell of a
             grid.
-        range: Target forces: reach for all forces that the fin can produce (default), or paper for
-            the paper's references.
+        range: reach: all forces that the fin can produce (default); paper: the paper's.
         clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
             (default: paper, which is 3,2).
         steps: Number of training actions per policy (default: 200000, or 33000 per cell of a grid).

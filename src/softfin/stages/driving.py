@@ -15,10 +15,10 @@ from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
+    CONNECTION,
     CONTROLLER,
     FILE,
     FORCE,
-    HIDDEN,
     PLANT,
     Config,
     Force,
@@ -190,15 +190,13 @@ def run(
         controller: Controller folder.
         plant: The fin: rig or ros2, optionally followed by :FILE.
         reference: First reference force [N], such as --reference=1,-0.5.
-        reference_file: Recorded reference to use instead: .csv or .parquet with the columns time_s,
-            force_x_n, force_y_n. Each row holds until the next one.
+        reference_file: Recorded reference instead (.csv, .parquet): time_s, force_x_n, force_y_n.
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
         overwrite: Replace an existing recording.
 
     Returns:
@@ -241,7 +239,7 @@ def ros2(
     strict: bool = False,
     trim: bool = False,
     config: Config = None,
-    connection: Annotated[TransportConfig | None, HIDDEN] = None,
+    connection: Annotated[TransportConfig | None, CONNECTION] = None,
     arm: bool = False,
     yes: bool = False,
     overwrite: bool = False,
@@ -256,8 +254,7 @@ def ros2(
         plant: The fin: rig or ros2, optionally followed by :FILE.
         reference: Reference force [N] while the topic has no recent message, such as
             --reference=1,-0.5.
-        fin: Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so
-            on. It stops when references stop arriving.
+        fin: Name of one fin of a robot; its topics are /NAME/joint_states and so on.
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
@@ -265,8 +262,7 @@ def ros2(
         config: `NodeConfig`; its fields are options too.
         connection: How to reach other nodes.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
         overwrite: Replace an existing recording.
 
     Returns:

@@ -52,31 +52,28 @@ def evaluate(
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II).
 
     Args:
-        controllers: Controller folder; several of one kind, trained from different seeds, are
-            evaluated together.
-        plant: The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or
-            package.module:plant. Real: rig or ros2, optionally followed by :FILE.
+        controllers: Controller folder; several of different seeds are evaluated together.
+        plant: tank, a YAML file, a surrogate's folder, package.module:plant, rig[:FILE] or
+            ros2[:FILE].
         out: Output folder for evaluation.json and the figures (default: only print the scores).
         reference: Reference force [N], such as --reference=1,-0.5; may be repeated (default: the
             paper's six).
-        reference_file: Also evaluate a recorded reference: .csv or .parquet with the columns
-            time_s, force_x_n, force_y_n. Each row holds until the next one.
+        reference_file: Also evaluate a recorded reference (.csv, .parquet): time_s, force_x_n,
+            force_y_n.
         moving: Also evaluate four steps of the reference within the controller's range.
         seconds: Length of each experiment [s] (default: 30).
         repeats: Repetitions of each experiment (default: 5).
         seed: Seed for the plant's noise (default: 0).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
-        randomize: Perturb the tank's parameters in each repetition, by up to this fraction; 0 for
-            the tank itself (tank only).
+        randomize: Perturb the tank's parameters in each repetition, by up to this fraction.
         error_map: Plot the error over the controller's range, at this many references along each
             side.
         random: Also evaluate this many random references within the reachable part of the training
             range.
         config: `EvaluateConfig`; its fields are options too.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -112,7 +109,7 @@ def evaluate(
     )
     if trim and settings.trim is None:
         settings = settings.merged({"trim": {}}, "--trim")
-    if is_real:
+    if is_real and out is not None:
         from softfin.rig.arming import Arming, KeyboardStop, say
         from softfin.stages.live import evaluate_live
         from softfin.stages.machines import find_robot

@@ -29,11 +29,9 @@ def explore(
     watch a controller follow it, or move the fin by hand. The page works offline.
 
     Args:
-        controllers: Controller folders (default: none, to move the fin by hand only). For a
-            surrogate, use --plant.
+        controllers: Controller folders (default: none, to move the fin by hand only).
         out: File to write (.html).
-        plant: The fin: tank, a tank's YAML file, or the folder of a streaming surrogate. With
-            several, the page can switch between them.
+        plant: tank, a tank's YAML file, or a streaming surrogate's folder; may be repeated.
         overwrite: Replace an existing file.
 
     Returns:

@@ -173,8 +173,7 @@ def reproduce(
 
     Args:
         out: Output folder.
-        preset: paper: the paper's data and training (hours); demo: a streaming surrogate, gaits and
-            one policy (minutes); tiny: only shows that everything works.
+        preset: paper (hours), demo (minutes), or tiny, which only shows that everything works.
         plant: The fin: tank, package.module:plant, or a surrogate's folder, which skips collect and
             fit.
         seed: First seed.

@@ -56,8 +56,7 @@ def check(
         prove: Prove that the drive stops if softfin dies. Powers the motor at rest; needs --arm.
         moving: With --prove, also kill and suspend softfin while it swings the fin.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
 
     Returns:
         The results, each as soon as it is available; the proof with `prove`.
@@ -134,8 +133,7 @@ def zero(
         angle: Zero only the angle. Powers the motor briefly; needs --arm.
         force: Zero only the force.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts only: make sure that no one can reach
-            the fin.
+        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
 
     Returns:
         The angle before and after, and the force at rest.

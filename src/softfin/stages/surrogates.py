@@ -62,13 +62,11 @@ def fit(
     Args:
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
-        model: streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet; or
-            package.module:ARCHITECTURE.
+        model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
         recordings: How to read recordings that softfin did not make.
         ignore_errors: Also fit to logs with errors.
         seed: Seed for weights, shuffling and dropout.
-        config: Configuration of the model; its fields are options too, such as --members 3, or
-            --epochs 20 with --model paper.
+        config: Configuration of the model; its fields are options too, such as --members 3.
         resume: Continue from the last checkpoint of an unfinished run.
         overwrite: Replace existing output, and discard an unfinished run.
         progress: Function that is called with the progress.
@@ -272,14 +270,11 @@ def calibrate(
     determined.
 
     Args:
-        data: Dataset folder, or a plant: tank, a tank's YAML file, a surrogate's folder, or
-            package.module:plant.
+        data: Dataset, or a plant: tank, a tank's YAML file, a surrogate, package.module:plant.
         out: Output folder for calibration.json, tank.yaml and the figures.
-        preset: full: fit the parameters of fin, water, drive and recording; quick: fit six
-            parameters, in about a minute.
+        preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.
-        config: `CalibrateConfig`; its fields are options too, such as --evaluations 0 for local
-            search only.
+        config: `CalibrateConfig`; its fields are options too, such as --evaluations 0.
         resume: Continue a stopped run.
         overwrite: Replace existing output, and discard an unfinished run.
         progress: Function that is called with the progress.

@@ -46,7 +46,7 @@ def keep_best_nets(
     for leaf in jax.tree.leaves((losses, held_out)):
         if not np.isfinite(leaf).all():
             raise RunError(
-                f"fit: the loss of the {name} is NaN or infinite; lower learning_rate (--set) and "
+                f"fit: the loss of the {name} is NaN or infinite; lower --learning-rate and "
                 "start again"
             )
 

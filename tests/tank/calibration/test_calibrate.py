@@ -150,8 +150,11 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
 
 def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(dataset, tmp_path):
     out = tmp_path / "calibration"
-    result = calibrate_stage(dataset.path, out, CONFIG.changed(["evaluations=0", "iterations=2"]))
-    assert json.loads((out / "calibration.json").read_text()) == json.loads(dump_json(result))
+    result = calibrate_stage(
+        dataset.path, out=out, config=CONFIG.changed(["evaluations=0", "iterations=2"])
+    )
+    written = json.loads((out / "calibration.json").read_text())
+    assert {"calibration": str(out), **written} == json.loads(dump_json(result))
     tank = TankConfig.build(read_yaml(out / "tank.yaml"))
     assert tank.water.drag_coefficient == result["parameters"]["water.drag_coefficient"]["value"]
     recording = RecordingConfig.build(read_yaml(out / "recording.yaml"))
@@ -220,7 +223,9 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
 
 def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):
     calibrate_stage(
-        dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"])
+        dataset.path,
+        out=tmp_path / "out",
+        config=CONFIG.changed(["evaluations=0", "iterations=1"]),
     )
     text = (tmp_path / "out" / "tank.yaml").read_text()
     assert text.startswith("# ")

@@ -34,12 +34,10 @@ class ImportConfig(Configuration):
     """How to read recordings; the defaults match softfin's own logs."""
 
     columns: Annotated[dict[Channel, str], PAIRS] = pydantic.Field(default_factory=dict)
-    """Column of each channel, e.g. ``angle=position,force_x=Fx``; ``-`` means that the file has no
-    such column. Needed only for names that softfin does not recognize."""
+    """Column of channels, e.g. ``angle=position,force_x=Fx``; ``-`` for none (default: by name)."""
     topics: Annotated[dict[Topic, str], PAIRS] = pydantic.Field(default_factory=dict)
-    """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin``; ``:fin`` selects one of several
-    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench,
-    current=/fin/current)."""
+    """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
+    command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
@@ -47,16 +45,14 @@ class ImportConfig(Configuration):
     time_unit: TimeUnit | None = None
     """Unit of the time column (default: from the column name, or s)."""
     angles: Annotated[dict[AngleChannel, str], PAIRS] = pydantic.Field(default_factory=dict)
-    """Unit of all angle channels, e.g. ``deg``, or of individual ones, e.g.
-    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s. (default: from the
-    column names, or rad)."""
+    """Unit of angles, e.g. ``deg`` or ``command_angle=deg,command_velocity=rpm`` (default: by name,
+    or rad)."""
     angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
     """Value of the angle columns at angle 0, in their unit, e.g. 180."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y.
-    Torque and force z follow."""
+    """Recorded axes that are softfin's +x (thrust, drives the robot forward) and +y."""
     negate: Annotated[tuple[SignedChannel | FurtherChannel, ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)

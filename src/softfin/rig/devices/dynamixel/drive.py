@@ -59,6 +59,9 @@ DISABLE_ATTEMPTS = 8
 """Maximum number of attempts to switch the torque off; each waits for up to two late answers."""
 LATE_ANSWER_S = 0.04
 """Maximum wait for the answer that confirms a stop, if answers are late [s]."""
+BLIND_WRITES = 20
+"""Number of torque-off writes that `switch_off` sends without waiting for answers; packets may
+collide if a second program uses the port."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
 SHAFT_WATCHED_S = 0.3
@@ -296,6 +299,10 @@ class Dynamixel:
             self.link.open(exclusive=False)
             if is_alone:
                 self._brake_foreign_motion()
+            for _ in range(BLIND_WRITES):
+                with suppress(DeviceError):
+                    self.link.write_unanswered(protocol.TORQUE_ENABLE, 0)
+                self.clock.sleep(TICK_S)
             is_off = self._try_until(self._goes_off, STOP_TIMEOUT_S) and stays_off(
                 self.clock, lambda: not self._is_powered(), TICK_S
             )

@@ -108,6 +108,12 @@ class ServoLink:
         request = struct.pack("<H", address) + data
         self._transact(Instruction.WRITE, request, 0, answer_s, what)
 
+    def write_unanswered(self, entry: Entry, value: int) -> None:
+        """Send an entry without waiting for the answer; raises DeviceError."""
+        request = struct.pack("<H", entry.address) + entry.layout.pack(value)
+        with self._using_port() as port:
+            port.write(encode_packet(Packet(self._config.id, Instruction.WRITE, request)))
+
     def reboot(self) -> None:
         """Restart the servo; raises DeviceError."""
         self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
