@@ -149,7 +149,8 @@ def test_evaluation(tmp_path: Path) -> None:
 
 
 def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--json"])
+    out = str(tmp_path / "saved.mcap")
+    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--out", out, "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
     dataset, _ = softfin.import_logs(
         GOLDEN / "session.mcap", tmp_path / "dataset", ignore_errors=True

@@ -108,8 +108,12 @@ class Table(NamedTuple):
                 "segments (--set ticks=N)"
             )
         columns = stack_channels(logs)
-        table = cls(Command(*columns[:2]), Motion(*columns[2:4]), columns[4:].T, choices)
-        return cls(*jax.tree.map(jnp.asarray, table))
+        return cls(
+            Command(*map(jnp.asarray, columns[:2])),
+            Motion(*map(jnp.asarray, columns[2:4])),
+            jnp.asarray(columns[4:].T),
+            jnp.asarray(choices),
+        )
 
     @eqx.filter_jit
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
