@@ -119,7 +119,7 @@ def fit(
 
         def keep(folder: Path) -> None:
             run_directory.keep_log(folder)
-            if test:
+            if test and test[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, test[0]), folder / "prediction.png")
 
         # The metadata of a dataset are already in its own folder.
@@ -255,7 +255,7 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
 
 @lock_output
 def calibrate(
-    data: Annotated[PlantLike | Path, DATA],
+    data: Annotated[PathLike | PlantLike, DATA],
     /,
     *,
     out: Annotated[PathLike, DIR],
