@@ -106,7 +106,7 @@ def runs(shown: Shown) -> bool:
     )
 
 
-def options(shown: Shown) -> set[tuple[str, str]]:
+def used_options(shown: Shown) -> set[tuple[str, str]]:
     """Those of a command, which itself counts as one."""
     words = softfin_words(shown)
     command = command_name(words)
@@ -121,13 +121,13 @@ AWAY = (*IN_THE_DAY, *ELSEWHERE)
 def first_of_each_option() -> list[Shown]:
     """The longest commands, until each option of each command has run; that the others are
     understood is looked at in test_documentation.py."""
-    ran = set().union(*map(options, README))
+    ran = set().union(*map(used_options, README))
     chosen = []
     lines = {shlex.join(softfin_words(shown)): shown for shown in commands() if runs(shown)}
     for line in sorted(lines.keys() - set(AWAY), key=lambda line: (-len(line.split()), line)):
-        if not options(lines[line]) <= ran:
+        if not used_options(lines[line]) <= ran:
             chosen.append(lines[line])
-            ran |= options(lines[line])
+            ran |= used_options(lines[line])
     return chosen
 
 

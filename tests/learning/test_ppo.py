@@ -243,14 +243,9 @@ def test_without_averaging_the_newest_policy_is_kept() -> None:
 
 
 def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
-    config = PPOConfig(
-        num_epochs=3,
-        num_minibatches=2,
-        learning_rate=0.4,
-        final_learning_rate=0.1,
-        entropy_coef=0.1,
-        final_entropy_coef=0.2,
-    )
+    first = {"learning_rate": 0.4, "entropy_coef": 0.1}
+    final = {"final_learning_rate": 0.1, "final_entropy_coef": 0.2}
+    config = PPOConfig(num_epochs=3, num_minibatches=2, **first, **final)
     np.testing.assert_allclose(
         [config.learning_rates(10)(step) for step in (0, 30, 60, 99)], [0.4, 0.22, 0.04, 0.04]
     )
@@ -276,7 +271,5 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
 
 
 def test_minibatches_of_unequal_size_are_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"num_envs = 10 must be a multiple of num_minibatches = 4"
-    ):
+    with pytest.raises(ConfigurationError, match=r"num_envs = 10 .*num_minibatches = 4"):
         PPOConfig.build({"num_envs": 10, "num_minibatches": 4})

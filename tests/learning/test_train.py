@@ -176,11 +176,7 @@ def test_evaluations_are_spread_over_the_run_and_the_last_update_is_one(
 
 
 def test_a_loss_that_is_not_finite_stops_with_its_place(work: RunDirectory) -> None:
-    words = (
-        r"the loss is NaN or infinite in update 1, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; "
-        r"lower ppo.learning"
-    )
-    with pytest.raises(RunError, match=words):
+    with pytest.raises(RunError, match=r"loss .* update 1, cell x 0\.5 .* ppo\.learning_rate"):
         train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO, 0, work)
 
 
@@ -190,15 +186,12 @@ def test_forces_that_are_not_finite_stop_it_as_a_loss_does(
     """Else a run of hours would end with policies that were never any good."""
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
     monkeypatch.setattr(training, "_evaluate", lambda *given, references: worst)
-    words = r"^train: the force in the evaluation is NaN or infinite in update 1, cell x 1.5 .. 2.5"
-    with pytest.raises(RunError, match=words):
+    with pytest.raises(RunError, match=r"force in the evaluation .* update 1, cell x 1\.5"):
         train_policies(AnalyticFin(), SMALL, NEAR_TWO, 0, work)
 
 
 def test_a_budget_under_one_rollout_is_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"
-    ):
+    with pytest.raises(ConfigurationError, match=r"steps = 23: .* 24"):
         SMALL.changed(["steps=23"])
 
 
@@ -248,7 +241,7 @@ def test_a_fin_that_cannot_produce_the_papers_references_is_refused_with_its_rea
     small = Reachable(np.zeros(2, np.float32), np.full(32, 0.1, np.float32))
     with pytest.raises(ConfigurationError) as refused:
         training_cells(SINGLE.changed(["range=paper"]), small)
-    assert str(refused.value).startswith("range paper: this fin cannot produce any")
+    assert str(refused.value).startswith("range paper: ")
     assert "x -0.1 .. 0.1, y -0.1 .. 0.1 N" in str(refused.value)
 
 

@@ -179,8 +179,12 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
         np.testing.assert_array_equal(sent, meant)
     commands = Command(*(jnp.asarray(channel) for channel in through.command))
     _, own = jax.jit(lambda: roll(tank, tank.init(jax.random.key(0)), commands))()
-    # What is seen of the emulated fin is one sample old.
-    assert rmse(through.reading.angle, own.angle, 1) < 0.01
+    # What is seen of the emulated fin is one to two samples old, depending on when the loop starts.
+    angle = np.asarray(own.angle)
+    before = np.concatenate([angle[:1], angle[:-1]])
+    ages = np.linspace(0, 1, 11)
+    errors = [rmse(through.reading.angle, angle + age * (before - angle), 1) for age in ages]
+    assert min(errors) < 0.003
     for axis in range(2):
         assert alike(through.reading.force[:, axis], own.force[:, axis], 1) > 0.99
 
@@ -281,7 +285,7 @@ def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_inter
         stopped_in_the_second_log(robot, out)
         pull(behind.fin, 0.0, 0.3)
         two_logs(robot, out, resume=True, warn=warnings.append)
-        serial = robot.machine.sensor.settings.calsn
+        serial = robot.machine.sensor.identity["serial"]
     described = json.loads((out / "dataset.json").read_text())
     first = described["sensor_by_log"]["train-0000"]
     second = described["sensor_by_log"]["train-0001"]

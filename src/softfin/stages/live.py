@@ -358,7 +358,7 @@ def _sensor_state(machine: Machine) -> JsonObject:
         return {"sensor_serial": None, "force_zero": None, "force_delay_s": None}
     force_zero = load_record(machine.config.file).force_zero
     return {
-        "sensor_serial": machine.sensor.serial,
+        "sensor_serial": machine.sensor.identity.get("serial"),
         "force_zero": None if force_zero is None else force_zero.model_dump(mode="json"),
         "force_delay_s": round(machine.sensor.delay_s, 5),
     }
