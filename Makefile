@@ -16,7 +16,7 @@ OUT ?= runs/demo
 QUICK ?=
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-changed test-real-time test-long mutants wheel test-wheel lint docs bench results results-quick figures clean
+.PHONY: setup demo day test test-quick test-changed test-real-time test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -51,6 +51,9 @@ test-real-time: setup ## the tests that fail on a computer that is too busy
 test-long: setup ## all tests, with more cases of each kind and twenty minutes of faults in real time
 	SOFTFIN_LONG=1 $(PYTEST) -m "not real_time"
 	SOFTFIN_LONG=1 $(REAL_TIME)
+
+test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
+	$(RUN) --extra ray pytest -rs tests/stages/test_ray_training.py
 
 mutants: setup ## change the code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1 MODULES=rig
 	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES)) \

@@ -1,5 +1,6 @@
 """Every shape of an array in softfin's annotations is checked at run time in the tests."""
 
+import contextlib
 import gc
 import os
 import signal
@@ -16,9 +17,10 @@ if version("jaxlib") == "0.10.2":
     # in one piece; XLA ends a process over a flag that it does not know.
     flags = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
     os.environ.setdefault("XLA_FLAGS", flags)
-os.environ.setdefault("SOFTFIN_CACHE", str(Path.home() / ".cache" / "softfin-tests"))
+PROGRAMS = Path.home() / ".cache" / "softfin-tests"
+os.environ.setdefault("SOFTFIN_CACHE", str(PROGRAMS))
 
-from softfin.core.program_cache import use_program_cache
+from softfin.core.program_cache import use_program_cache  # noqa: E402
 
 # JAX reads the settings when it is imported, which the type checks of the next softfin module do.
 use_program_cache()
@@ -41,11 +43,12 @@ SOFTFIN = Path(__file__).parents[1] / "src" / "softfin"
 CHECKED = [
     f"softfin.{'.'.join(path.relative_to(SOFTFIN).with_suffix('').parts)}"
     for path in SOFTFIN.rglob("*.py")
-    if path.relative_to(SOFTFIN).parts[0] not in ("rig", "emulation")
+    if path.relative_to(SOFTFIN).parts[0] not in ("rig", "emulation", "stages")
     and path != SOFTFIN / "testing" / "devices.py"
 ]
 """Modules whose annotations are checked at each call. The rig and its emulation have hardly any
-arrays, and the checks made its simulated loops five times as slow."""
+arrays, and the checks made its simulated loops five times as slow. The stages state what can be
+typed on the command line; their plants and configurations may also be objects."""
 
 # A shell's background jobs ignore Ctrl-C, and so would the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -64,12 +67,26 @@ PUBLISHED = Path(
 )
 
 
+PROGRAMS_BYTES = 2**30
+"""Size of the cache of programs above which the oldest are deleted, before any test."""
+
 MAPPINGS = 30_000
 """Stretches of memory after which compiled programs are dropped: Linux gives a process 65,530, and
 ends it beyond."""
 
 MEMORY_BYTES = 1_500_000_000
 """Of a worker, after which they are dropped, too."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the cache small; another run may do so at the same time."""
+    size = 0
+    with contextlib.suppress(OSError):
+        newest_first = sorted(PROGRAMS.iterdir(), key=lambda file: -file.stat().st_mtime)
+        for file in newest_first:
+            size += file.stat().st_size
+            if size > PROGRAMS_BYTES:
+                file.unlink()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-NAMES = ("chromium", "cyclonedds", "node", "published")
+NAMES = ("chromium", "cyclonedds", "node", "published", "ray")
 
 
 def required() -> frozenset[str]:

@@ -20,8 +20,6 @@ from softfin.stages.controllers import map_forces, train
 from tests.plants import StrokeFin
 from tests.stages.test_training import MAP, PPO
 
-CLOCKS = (ActionClock.at(6), ActionClock.at(10, 1), ActionClock.at(2.5, 1.2))
-
 
 def _mapped(clock: ActionClock, out: Path) -> Path:
     map_forces(StrokeFin(), out=out, config=MAP.model_copy(update={"clock": clock}))
@@ -33,8 +31,14 @@ def _trained(clock: ActionClock, out: Path) -> Path:
     return out
 
 
-@pytest.mark.parametrize("clock", CLOCKS, ids=str)
-@pytest.mark.parametrize("make", [_mapped, _trained])
+@pytest.mark.parametrize(
+    ("make", "clock"),
+    [
+        (_mapped, ActionClock.at(10, 1)),
+        (_mapped, ActionClock.at(2.5, 1.2)),
+        (_trained, ActionClock.at(6)),
+    ],
+)
 def test_a_controller_of_another_clock(
     make: Callable[[ActionClock, Path], Path], clock: ActionClock, tmp_path: Path
 ) -> None:

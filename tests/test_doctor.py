@@ -1,8 +1,6 @@
 """What `softfin doctor` says of this computer, and of one that is arranged for the test."""
 
-import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
@@ -10,7 +8,6 @@ import pytest
 from softfin import doctor
 from softfin.installation import EXTRAS
 from softfin.rig.device import CheckResult
-from tests.patience import HANG_S
 
 
 def results() -> dict[str, CheckResult]:
@@ -51,7 +48,7 @@ def test_every_part_has_a_line_and_none_names_the_users_home(monkeypatch):
         assert "\n" not in result.text
         assert str(Path(sys.prefix).parent) not in result.text
     assert found["Python"].text.partition(", ")[2].startswith("~/")
-    assert "cpu:0" in found["JAX"].text
+    assert found["JAX"].text.startswith("cpu:0")
     assert "numpy " in found["packages"].text
 
 
@@ -106,29 +103,7 @@ def test_what_jax_raises_is_a_line(monkeypatch):
     assert "no device found (no device)" in results()["JAX"].text
 
 
-def test_a_gpu_that_jax_does_not_use_is_a_note(tmp_path, monkeypatch):
-    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    monkeypatch.setattr(doctor, "NVIDIA", tmp_path / "version")
-    assert results()["JAX"].state == "well"
-    (tmp_path / "version").touch()
-    monkeypatch.setattr(
-        "jax.devices", lambda: [types.SimpleNamespace(platform="cpu", id=0, device_kind="cpu")]
-    )
-    assert results()["JAX"].state == "note"
-    assert "the NVIDIA GPU is not used" in results()["JAX"].text
-
-
-def test_without_jax_it_is_a_note():
-    code = (
-        "import sys; sys.modules['jax'] = None\n"
-        "import importlib.metadata as metadata; version = metadata.version\n"
-        "def absent(name):\n"
-        "    if name == 'jax': raise metadata.PackageNotFoundError(name)\n"
-        "    return version(name)\n"
-        "metadata.version = absent\n"
-        "from softfin.cli import main; main(['doctor'])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False
-    )
-    assert "  note  JAX            not installed: this softfin can run controllers" in done.stdout
+def test_without_jax_it_is_not_examined(monkeypatch):
+    monkeypatch.setattr(doctor, "installed_version", lambda name: None if name == "jax" else "1")
+    assert "JAX" not in results()
+    assert results()["[learn]"].text.startswith("lacks jax; if you need it")

@@ -43,7 +43,6 @@ TINY = {
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
-    "monitor": "--json",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
 }
@@ -78,11 +77,12 @@ ELSEWHERE = {
     "reproduce --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
-    "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
+    "monitor .": "tests/cli/test_monitor.py",
+    "monitor dataset-bags": "tests/cli/test_monitor.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",
@@ -106,7 +106,7 @@ def runs(shown: Shown) -> bool:
     )
 
 
-def options(shown: Shown) -> set[tuple[str, str]]:
+def used_options(shown: Shown) -> set[tuple[str, str]]:
     """Those of a command, which itself counts as one."""
     words = softfin_words(shown)
     command = command_name(words)
@@ -121,13 +121,13 @@ AWAY = (*IN_THE_DAY, *ELSEWHERE)
 def first_of_each_option() -> list[Shown]:
     """The longest commands, until each option of each command has run; that the others are
     understood is looked at in test_documentation.py."""
-    ran = set().union(*map(options, README))
+    ran = set().union(*map(used_options, README))
     chosen = []
     lines = {shlex.join(softfin_words(shown)): shown for shown in commands() if runs(shown)}
     for line in sorted(lines.keys() - set(AWAY), key=lambda line: (-len(line.split()), line)):
-        if not options(lines[line]) <= ran:
+        if not used_options(lines[line]) <= ran:
             chosen.append(lines[line])
-            ran |= options(lines[line])
+            ran |= used_options(lines[line])
     return chosen
 
 

@@ -68,9 +68,21 @@ FUNCTIONS = {
     "maximum": "minimum",
 }
 STATEMENTS = (ast.Raise, ast.Return, ast.Break, ast.Continue)
-UNORDERED = {*FUNCTIONS, "isinstance", "getattr", "setattr", "hasattr"}
+UNORDERED = {
+    *FUNCTIONS,
+    "isinstance",
+    "getattr",
+    "setattr",
+    "hasattr",
+    "allclose",
+    "isclose",
+    "hypot",
+}
 """Functions whose arguments are not swapped: it would change nothing, or fail wherever it is
 reached."""
+
+FEW = 8
+"""Test files that import a module, above which only those of its folder count."""
 
 
 class Mutation(NamedTuple):
@@ -310,7 +322,8 @@ class Project:
         return stale
 
     def _nearest_tests(self, file: Path, folder: Path) -> list[Path]:
-        """The test files at the fewest imports from a file; of these, those in the folder."""
+        """The test files at the fewest imports from a file: those in the folder first, and if
+        they are many, those alone."""
         seen = {file}
         level = [file]
         while level:
@@ -318,7 +331,9 @@ class Project:
             seen.update(level)
             tests = [each for each in level if each.name.startswith("test_")]
             if tests:
-                return [test for test in tests if test.is_relative_to(folder)] or tests
+                own = [test for test in tests if test.is_relative_to(folder)]
+                others = [test for test in tests if test not in own]
+                return own if own and len(tests) > FEW else own + others
         return []
 
     def _find_importers(self) -> dict[Path, set[Path]]:

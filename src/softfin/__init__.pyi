@@ -6,6 +6,7 @@ from .core.quantities import Log as Log
 from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
+from .doctor import doctor as doctor
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
@@ -21,6 +22,7 @@ from .stages.explore import explore as explore
 from .stages.logs import import_logs as import_logs
 from .stages.logs import inspect_logs as inspect_logs
 from .stages.logs import recover_recording as recover_recording
+from .stages.ray_training import train_on_ray as train_on_ray
 from .stages.reproduce import demo as demo
 from .stages.reproduce import reproduce as reproduce
 from .stages.surrogates import calibrate as calibrate

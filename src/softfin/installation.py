@@ -4,7 +4,7 @@ only."""
 import importlib.metadata
 import re
 
-EXTRAS = ("learn", "emulation", "onnx", "ros2", "sb3", "serial")
+EXTRAS = ("learn", "emulation", "onnx", "ros2", "ray", "sb3", "serial")
 """Optional parts of softfin, as in pyproject.toml; `learn` simulates, trains and draws."""
 
 DISTRIBUTIONS = {

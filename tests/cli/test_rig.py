@@ -59,8 +59,8 @@ def test_what_is_wrong_is_in_the_table_and_the_exit_code(file, emulated, capsys)
     said = capsys.readouterr()
     assert "WRONG  drive " in said.out
     assert "0x2310, over-current" in said.out
-    assert "WRONG  sensor status " in said.out
-    assert "failed: drive, sensor status" in said.err
+    assert "WRONG  force sensor " in said.out
+    assert "failed: drive, force sensor" in said.err
 
 
 def test_a_fault_is_named_and_reset_when_asked(file, emulated, capsys):
@@ -108,7 +108,7 @@ def test_nothing_moves_before_it_is_proved_that_the_drive_stops_by_itself(file, 
     [
         ({"drive": {"type": "epos2", "node": 1, "serial": 1}}, "serial was 1 and is "),
         ({"drive": {"type": "epos2", "node": 1, "serial": None}}, "serial was None and is "),
-        ({"drive": {"type": "other"}}, "type was other and is epos2"),
+        ({"drive": {"type": "other"}}, "type was 'other' and is 'epos2'"),
         ({"heartbeat_s": 0.3}, "heartbeat_s was 0.3 and is 0.2"),
         ({"host_node": 99}, "host_node was 99 and is 126"),
     ],

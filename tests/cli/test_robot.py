@@ -93,7 +93,7 @@ def test_controllers_are_for_all_fins_or_for_each(capsys, gaits):
     [
         (("check", "ucat"), "max_thrust: missing"),
         (("check", "nemo.yaml", "--max-thrust", "3"), "nemo.yaml: file not found"),
-        (("evaluate", "ucat"), "missing required CONTROLLER"),
+        (("evaluate", "ucat"), "got 0 controllers; use one for all fins"),
         (("evaluate", "ucat", GAITS), "max_thrust: missing"),
         (("evaluate", "ucat", GAITS, "--repeats", "0"), "repeats"),
         (("evaluate", "ucat", GAITS, "--plant", "tests.plants:AnalyticFin"), "only a tank"),
@@ -103,14 +103,14 @@ def test_controllers_are_for_all_fins_or_for_each(capsys, gaits):
         ),
         (("ros2", "ucat"), "max_thrust: missing"),
         (
-            ("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"),
+            ("ros2", "ucat", "--max-thrust", "3", "--stop-topic", "stop"),
             "stop_topic = 'stop'",
         ),
         (
-            ("ros2", "ucat", "--set", "max_thrust.tail=3"),
+            ("ros2", "ucat", "--max-thrust.tail", "3"),
             "max_thrust is for tail, but U-CAT has front_right",
         ),
-        (("ros2", "ucat", "--domain", "300"), "connection.domain = 300"),
+        (("ros2", "ucat", "--domain", "300"), "--domain 300"),
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(capsys, transport, words, told):
@@ -149,12 +149,12 @@ def test_fins_that_are_not_there_end_the_node_in_one_line(capsys, transport):
                 "robot",
                 "ros2",
                 "ucat",
-                "--set",
-                "max_thrust=3",
-                "--set",
-                "wait_s=0.1",
-                "--set",
-                "fin_prefix=/ucat",
+                "--max-thrust",
+                "3",
+                "--wait-s",
+                "0.1",
+                "--fin-prefix",
+                "/ucat",
             ]
         )
     assert stop.value.code == 1

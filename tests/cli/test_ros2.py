@@ -128,10 +128,10 @@ def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_p
         "--bag",
         str(tmp_path / "run.mcap"),
         "--json",
-        "--set",
-        "reference_topic=/ask",
-        "--set",
-        "reference_timeout_s=1.5",
+        "--reference-topic",
+        "/ask",
+        "--reference-timeout-s",
+        "1.5",
     )
     assert there.controller.asked[0] == (1.0, -1.0)
     assert there.controller.asked[-1] == (0.0, 0.5), "too old: what was said beforehand"
@@ -199,11 +199,11 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
         ([], "nothing moves without --arm"),
         (["--arm"], "in a script, add --yes"),
         (["--reference=4,0"], "not trained for"),
-        (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
-        (["--domain", "300"], "connection.domain = 300"),
+        (["--joint-topic", "joint"], "joint_topic = 'joint'"),
+        (["--domain", "300"], "--domain 300"),
         (["--fin", "left fin"], "fin 'left fin': cannot be part of a topic name"),
         (
-            ["--fin", "left", "--set", "reference_timeout_s=null"],
+            ["--fin", "left", "--reference-timeout-s", "null"],
             "reference_lost = stop: needs a timeout",
         ),
     ],

@@ -259,8 +259,7 @@ def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated,
     still(emulated)
 
 
-@pytest.mark.parametrize("key", ["\n", "\x04"], ids=["Enter", "Ctrl-D"])
-@pytest.mark.parametrize("command", ["collect", "evaluate"])
+@pytest.mark.parametrize(("command", "key"), [("collect", "\n"), ("evaluate", "\x04")])
 def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant, tmp_path):
     """The process on the terminal emulates the rig itself, in simulated time: neither a busy
     computer nor another rig at the same port can stop it first."""

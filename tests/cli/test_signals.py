@@ -64,8 +64,10 @@ cli.script()
 """
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("place", ["nowhere", "results", "message", "end"])
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("SIGINT", "nowhere"), ("SIGTERM", "results"), ("SIGHUP", "message"), ("SIGTERM", "end")],
+)
 def test_signals_after_a_stop_change_neither_its_message_nor_its_exit_code(name, place):
     run = subprocess.run(
         [sys.executable, "-c", PROGRAM, name, place],

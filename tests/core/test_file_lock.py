@@ -8,25 +8,33 @@ from pathlib import Path
 
 import pytest
 
-from softfin.core.file_lock import describe_holder, lock_file
+from softfin.core.file_lock import describe_holder, lock_file, unlock_file
 from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
 
 HOLDER = """
+import os
 import sys
 from pathlib import Path
 from softfin.core.file_lock import lock_file
 lock_file(Path(sys.argv[1]))
+for _ in sys.argv[2:]:
+    if os.fork() == 0:
+        sys.stdin.read()
+        os._exit(0)
 print("locked", flush=True)
 sys.stdin.read()
 """
 
 
-def test_a_file_locked_by_another_process_is_refused_until_that_process_is_killed(tmp_path):
+@pytest.mark.parametrize("options", [[], ["with a forked child"]])
+def test_a_file_locked_by_another_process_is_refused_until_that_process_is_killed(
+    tmp_path, options
+):
     path = tmp_path / "lock"
     holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(path)],
+        [sys.executable, "-c", HOLDER, str(path), *options],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -37,11 +45,14 @@ def test_a_file_locked_by_another_process_is_refused_until_that_process_is_kille
         with pytest.raises(BlockingIOError):
             lock_file(path)
         assert describe_holder(path) == f" (process {holder.pid})"
+        holder.kill()
+        holder.wait(HANG_S)
+        # A forked child lives until its input ends.
+        unlock_file(lock_file(path))
+        assert describe_holder(path) == f" (process {os.getpid()})"
     finally:
         holder.kill()
         holder.communicate(timeout=HANG_S)
-    os.close(lock_file(path))
-    assert describe_holder(path) == f" (process {os.getpid()})"
 
 
 def test_a_file_that_is_removed_before_it_is_locked_is_created_again(tmp_path, monkeypatch):
@@ -59,7 +70,7 @@ def test_a_file_that_is_removed_before_it_is_locked_is_created_again(tmp_path, m
     descriptor = lock_file(path)
     with pytest.raises(BlockingIOError):
         lock_file(path)
-    os.close(descriptor)
+    unlock_file(descriptor)
 
 
 @pytest.mark.parametrize("content", ["", "nobody", None])

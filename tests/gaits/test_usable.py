@@ -19,7 +19,7 @@ CIRCLE = region(np.full(32, 0.5))
 
 
 def test_a_fin_without_force_is_refused() -> None:
-    with pytest.raises(PlantError, match="produces no mean force, whatever its commands"):
+    with pytest.raises(PlantError, match="no mean force"):
         check_usable(StrokeFin(), region(np.zeros(32)))
 
 
@@ -27,7 +27,7 @@ def test_a_fin_without_force_is_refused() -> None:
 def test_a_fin_whose_forces_lie_on_a_line_is_refused(across: float) -> None:
     radius = np.full(32, across)
     radius[[0, 16]] = 2
-    with pytest.raises(PlantError, match=r"lie on a line, .* both axes of the force are measured"):
+    with pytest.raises(PlantError, match="on a line"):
         check_usable(StrokeFin(), region(radius))
 
 

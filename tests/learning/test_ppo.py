@@ -249,13 +249,12 @@ def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
         learning_rate=0.4,
         final_learning_rate=0.1,
         entropy_coef=0.1,
-        final_entropy_coef=0.2,
     )
     np.testing.assert_allclose(
         [config.learning_rates(10)(step) for step in (0, 30, 60, 99)], [0.4, 0.22, 0.04, 0.04]
     )
     np.testing.assert_allclose(
-        [config.entropy_coefs(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.06, 0.02, 0.02]
+        [config.entropy_coefs(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.05, 0.0, 0.0]
     )
 
 
@@ -276,7 +275,5 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
 
 
 def test_minibatches_of_unequal_size_are_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"num_envs = 10 must be a multiple of num_minibatches = 4"
-    ):
+    with pytest.raises(ConfigurationError, match=r"num_envs = 10 .*num_minibatches = 4"):
         PPOConfig.build({"num_envs": 10, "num_minibatches": 4})

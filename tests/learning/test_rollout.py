@@ -14,10 +14,11 @@ from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
 
 BOX = box((1, -1), (3, 1))
+Lived = tuple[PPO, AgentState, AgentState, Rollout]
 
 
 @pytest.fixture(scope="module")
-def lived() -> tuple[PPO, AgentState, AgentState, Rollout]:
+def lived() -> Lived:
     """A learner whose second rollout crosses resets."""
     ppo = learner(AnalyticFin(), 3, num_envs=4, episode=12)
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
@@ -33,9 +34,7 @@ def lived() -> tuple[PPO, AgentState, AgentState, Rollout]:
     return ppo, before, before._replace(env_state=env_state), jax.tree.map(np.asarray, rollout)
 
 
-def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(lived: Lived) -> None:
     _, before, _, rollout = lived
     assert rollout.is_first.any()
     policy = before.networks.policy
@@ -52,16 +51,14 @@ def test_the_replay_of_a_rollout_gives_the_densities_it_was_lived_with(
 
 
 def test_episodes_are_cut_once_each_at_spread_times_and_only_at_the_end_of_a_cycle(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
+    lived: Lived,
 ) -> None:
     cut = np.asarray(lived[-1].truncated)
     assert cut.sum(axis=0).tolist() == [1, 1, 1, 1]
     assert sorted(np.argmax(cut, axis=0)) == [2, 5, 8, 11]
 
 
-def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(lived: Lived) -> None:
     rollout = lived[-1]
     after = lived[2]
     np.testing.assert_array_equal(rollout.is_first[1:], rollout.truncated[:-1])
@@ -71,9 +68,7 @@ def test_a_reset_comes_right_after_a_cut_and_shows_a_fin_at_rest(
     np.testing.assert_allclose(at_rest[:, 3:], np.tile([0.0, -1.0], (len(at_rest), 1)), atol=1e-6)
 
 
-def test_a_reset_clears_what_the_networks_remember(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_a_reset_clears_what_the_networks_remember(lived: Lived) -> None:
     _, before, _, rollout = lived
     policy = before.networks.policy
     time, env = np.argwhere(np.asarray(rollout.is_first))[0]
@@ -86,9 +81,7 @@ def test_a_reset_clears_what_the_networks_remember(
     np.testing.assert_allclose(density, rollout.log_prob[time, env], atol=1e-4)
 
 
-def test_the_critic_sees_the_state_that_was_left_not_the_one_after_the_reset(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_the_critic_sees_the_state_that_was_left_not_the_one_after_the_reset(lived: Lived) -> None:
     rollout = lived[-1]
     goes_on = ~np.asarray(rollout.truncated)[:-1]
     np.testing.assert_array_equal(
@@ -106,18 +99,14 @@ def test_the_critic_sees_the_state_that_was_left_not_the_one_after_the_reset(
     )
 
 
-def test_all_environments_keep_to_the_33_33_34_clock(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_all_environments_keep_to_the_33_33_34_clock(lived: Lived) -> None:
     ages = lived[2].env_state.states.age
     ticks = lived[2].env_state.states.plant.ticks
     assert np.all(np.asarray(ages) % 3 == 0)
     assert np.all(np.asarray(ticks) % 100 == 0)
 
 
-def test_every_environment_has_its_own_reference(
-    lived: tuple[PPO, AgentState, AgentState, Rollout],
-) -> None:
+def test_every_environment_has_its_own_reference(lived: Lived) -> None:
     references = np.asarray(lived[2].env_state.states.reference)
     assert len(np.unique(references, axis=0)) == 4
     assert np.all((references >= [1, -1]) & (references <= [3, 1]))

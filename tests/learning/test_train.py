@@ -176,11 +176,7 @@ def test_evaluations_are_spread_over_the_run_and_the_last_update_is_one(
 
 
 def test_a_loss_that_is_not_finite_stops_with_its_place(work: RunDirectory) -> None:
-    words = (
-        r"the loss is NaN or infinite in update 1, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; "
-        r"lower ppo.learning"
-    )
-    with pytest.raises(RunError, match=words):
+    with pytest.raises(RunError, match=r"loss .* update 1, cell x 0\.5 .* ppo\.learning_rate"):
         train_policies(AnalyticFin(gain=np.nan), SMALL, NEAR_TWO, 0, work)
 
 
@@ -190,15 +186,12 @@ def test_forces_that_are_not_finite_stop_it_as_a_loss_does(
     """Else a run of hours would end with policies that were never any good."""
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
     monkeypatch.setattr(training, "_evaluate", lambda *given, references: worst)
-    words = r"^train: the force in the evaluation is NaN or infinite in update 1, cell x 1.5 .. 2.5"
-    with pytest.raises(RunError, match=words):
+    with pytest.raises(RunError, match=r"force in the evaluation .* update 1, cell x 1\.5"):
         train_policies(AnalyticFin(), SMALL, NEAR_TWO, 0, work)
 
 
 def test_a_budget_under_one_rollout_is_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"
-    ):
+    with pytest.raises(ConfigurationError, match=r"steps = 23: .* 24"):
         SMALL.changed(["steps=23"])
 
 
@@ -248,7 +241,7 @@ def test_a_fin_that_cannot_produce_the_papers_references_is_refused_with_its_rea
     small = Reachable(np.zeros(2, np.float32), np.full(32, 0.1, np.float32))
     with pytest.raises(ConfigurationError) as refused:
         training_cells(SINGLE.changed(["range=paper"]), small)
-    assert str(refused.value).startswith("range paper: this fin cannot produce any")
+    assert str(refused.value).startswith("range paper: ")
     assert "x -0.1 .. 0.1, y -0.1 .. 0.1 N" in str(refused.value)
 
 
@@ -265,7 +258,7 @@ def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_know
     assert not any("score_out_of_distribution" in entry for entry in trained.log)
 
 
-def test_policies_are_evaluated_in_the_plant_as_it_is_now(
+def test_policies_are_evaluated_in_their_own_plant_of_several_of_one_class(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(2))
@@ -275,13 +268,9 @@ def test_policies_are_evaluated_in_the_plant_as_it_is_now(
         work = RunDirectory(tmp_path / "out", {}, overwrite=True)
         return np.asarray(train_policies(plant, SMALL, NEAR_TWO, 0, work).evaluation.error)
 
-    plant = PlainFin(gain=0.1)
-    before = error(plant)
-    plant._fin = AnalyticFin(gain=2.0)
-    after = error(plant)
-    assert (after != before).any()
-    np.testing.assert_array_equal(after, error(PlainFin(gain=2.0)))
-    np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))
+    weak = error(PlainFin(gain=0.1))
+    assert (error(PlainFin(gain=2.0)) != weak).any()
+    np.testing.assert_array_equal(weak, error(PlainFin(gain=0.1)))
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.05])

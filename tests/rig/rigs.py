@@ -152,6 +152,5 @@ def patient() -> Iterator[None]:
     """On a busy machine an emulated sensor in real time is silent at times; no more than its age is
     judged then."""
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr("softfin.rig.devices.axia80.sensor.SILENT_S", 2.0)
         patches.setattr("softfin.rig.streamed_sensor.SILENT_S", 2.0)
         yield

@@ -6,13 +6,9 @@ Where it can be had, both are in a network namespace of their own; else Cyclone 
 loopback.
 """
 
-import fcntl
 import itertools
 import json
 import os
-import shutil
-import socket
-import struct
 import subprocess
 import sys
 import time
@@ -30,12 +26,11 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from tests.alone import raise_loopback, told_by
 from tests.patience import HANG_S
 
 DEAD_MAN_S = 0.2
 """Time without a command after which the driver stops its motor [s]."""
-
-ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
 
 LOOPBACK = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/>'
@@ -114,31 +109,10 @@ class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
 
 
 def within(case: str, folder: Path) -> dict[str, Any]:
-    """What a case tells."""
-    there = shutil.which("unshare") is not None
-    alone = (
-        ALONE
-        if there and not subprocess.run([*ALONE, "true"], capture_output=True).returncode
-        else ()
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
-    # A domain that no other test uses, because even processes in separate namespaces share the
-    # locks of this computer.
-    environment |= {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 200),
-        "ALONE": str(bool(alone)),
-    }
-    run = subprocess.run(
-        [*alone, sys.executable, "-m", "tests.rig.ros2_processes", case, str(folder)],
-        env=environment,
-        cwd=Path(__file__).parents[2],
-        capture_output=True,
-        text=True,
-        timeout=HANG_S,
-    )
-    assert run.returncode == 0, run.stderr[-4000:]
-    told: dict[str, Any] = json.loads((folder / "told.json").read_text())
-    return told
+    """What a case tells, in a domain that no other test uses, because even processes in separate
+    namespaces share the locks of this computer."""
+    domain = str(1 + os.getpid() % 200)
+    return told_by("tests.rig.ros2_processes", folder, case, ROS_DOMAIN_ID=domain)
 
 
 def plant(_: Path) -> dict[str, Any]:
@@ -477,9 +451,10 @@ def sensor_child(folder: Path) -> None:
         # The rate and the stamps stay the same on a busy computer.
         time.sleep(max(0.0, began + sent / 50 - time.monotonic()))
         stamp = Time(*divmod(began_ns + sent * 20_000_000, 10**9))
-        # Each message differs, as those of a real sensor do.
-        force = Vector3(2.0 + 1e-4 * (sent % 7), -1.0, 0.5)
-        wrench = Wrench(force, Vector3(0.1, 0.2, 0.3))
+        # Each number differs from that before, as those of a real sensor do.
+        noise = 1e-4 * (sent % 7)
+        force = Vector3(2.0 + noise, -1.0 + noise, 0.5 + noise)
+        wrench = Wrench(force, Vector3(0.1 + noise, 0.2 + noise, 0.3 + noise))
         writers[0].write(WrenchStamped(Header(stamp, "ft"), wrench))
         if sent == 500:
             writers.append(child.writer("/wrench", WrenchStamped, OFFERS["reliable"]))
@@ -582,18 +557,13 @@ def robot_child(folder: Path) -> None:
     time.sleep(HANG_S)
 
 
-def _loopback() -> None:
-    """A new network's loopback is down; 0x8914 is SIOCSIFFLAGS, 0x41 up and running."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        fcntl.ioctl(any_socket, 0x8914, struct.pack("16sh14x", b"lo", 0x41))
-
-
 def main(case: str, folder: Path) -> None:
     if case.endswith("_child"):
         globals()[case](folder)
         return
-    if os.environ["ALONE"] == "True":
-        _loopback()
+    # Neither is on a configuration of the user's.
+    os.environ.pop("CYCLONEDDS_URI", None)
+    raise_loopback()
     other = subprocess.Popen(
         [sys.executable, "-m", "tests.rig.ros2_processes", f"{case}_child", str(folder)]
     )

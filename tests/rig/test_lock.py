@@ -9,16 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from softfin.core.errors import RigError
+from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
 from softfin.rig import lock as locks
-from softfin.rig.computer import COMPUTER
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import load_rig
+from softfin.rig.devices.dynamixel.drive import Dynamixel
+from softfin.rig.devices.lines.config import LinesConfig
+from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.lock import DeviceLock
 from softfin.rig.rig import Rig, zero_force
 from softfin.tank import Tank
 from tests.patience import HANG_S, wait_until
+from tests.rig.devices.dynamixel.bench import servo_config
 from tests.rig.rigs import config_of, patient
 from tests.rig.simple_fin import SimpleFin
 
@@ -27,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 HOLDER = """
 import sys
 from pathlib import Path
-from softfin.rig.computer import COMPUTER
+from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig import lock
 lock.LOCK_FOLDER = Path(sys.argv[1])
 lock.DeviceLock("drive", "can0", 1).acquire(COMPUTER)
@@ -150,6 +154,52 @@ def test_the_program_that_holds_a_lock_is_asked_to_exit(folder):
     lock.release()
 
 
+def test_a_program_may_take_two_seconds_to_stop_its_fin(folder):
+    holder = DeviceLock("drive 1", "can0", 1)
+    holder.acquire(COMPUTER)
+
+    class Fast(Computer):
+        now = 0.0
+
+        def __call__(self):
+            return self.now
+
+        def sleep(self, seconds):
+            self.now += seconds
+            if self.now > 2.0:
+                holder.release()
+
+    lock = DeviceLock("drive 1", "can0", 1)
+    assert lock.take_over(Fast())
+    lock.release()
+
+
+def test_a_port_has_one_lock_whatever_its_name(folder):
+    port = folder / "ttyUSB0"
+    port.touch()
+    link = folder / "by-id"
+    link.symlink_to(port)
+    for made in (
+        lambda name: Dynamixel(servo_config(port=str(name))),
+        lambda name: lines_sensor(
+            LinesConfig.build(
+                {
+                    "port": str(name),
+                    "columns": ("force_x", "force_y"),
+                    "rate_hz": 100.0,
+                    "filter_delay_s": 0.0,
+                    "frame": "x,y",
+                }
+            )
+        ),
+    ):
+        first, second = (made(name).device_lock for name in (port, link))
+        first.acquire(COMPUTER)
+        with pytest.raises(RigError, match="in use"):
+            second.acquire(COMPUTER)
+        first.release()
+
+
 def test_a_program_that_does_not_end_keeps_its_lock(folder, monkeypatch):
     monkeypatch.setattr(locks, "TAKE_OVER_S", 0.05)
     with another_program(folder) as other:
@@ -204,11 +254,9 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
 @pytest.mark.real_time
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
-        other_serial = Rig(
-            config_of(behind, sensor=behind.values()["sensor"] | {"serial": "another"})
-        )
-        with pytest.raises(RigError, match="serial must be"):
-            other_serial.open()
+        without_page = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"http_port": 1}))
+        with pytest.raises(DeviceError, match="cannot read the force sensor's page"):
+            without_page.open()
         rig = Rig(config_of(behind))
         rig.open()
         rig.close()

@@ -194,16 +194,16 @@ STOPS: dict[str, tuple[Inject, str]] = {
         lambda at: setattr(at.emulated.sensor, "status", 0x88000000),
         "force sensor 127.0.0.1",
     ),
-    "sensor silent": (lambda at: at.emulated.sensor.silence(), "no new record|no new force"),
+    "sensor silent": (lambda at: at.emulated.sensor.silence(), "no usable record|no new force"),
     "sensor starts anew": (
         lambda at: at.emulated.sensor.reboot(0.1),
-        "no new record|no new force|restarted",
+        "no usable record|no new force|restarted",
     ),
     "sensor's values stand still": (
         lambda at: setattr(at.emulated.sensor, "are_values_frozen", True),
         "values are frozen",
     ),
-    "all packets lost": (network(drop=1.0), "no new record|no new force"),
+    "all packets lost": (network(drop=1.0), "no usable record|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }
 """Each ends in a safe stop whose reason matches."""

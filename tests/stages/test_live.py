@@ -61,7 +61,6 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
             "test-000.mcap",
             "train-0000.mcap",
             "train-0000.parquet",
-            "train-0000.sensor.json",
         ]
         assert events_of(bags / "test-000.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
         first = (bags / "train-0000.parquet").read_bytes()
@@ -180,8 +179,12 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
         np.testing.assert_array_equal(sent, meant)
     commands = Command(*(jnp.asarray(channel) for channel in through.command))
     _, own = jax.jit(lambda: roll(tank, tank.init(jax.random.key(0)), commands))()
-    # What is seen of the emulated fin is one sample old.
-    assert rmse(through.reading.angle, own.angle, 1) < 0.01
+    # What is seen of the emulated fin is one to two samples old, depending on when the loop starts.
+    angle = np.asarray(own.angle)
+    before = np.concatenate([angle[:1], angle[:-1]])
+    ages = np.linspace(0, 1, 11)
+    errors = [rmse(through.reading.angle, angle + age * (before - angle), 1) for age in ages]
+    assert min(errors) < 0.003
     for axis in range(2):
         assert alike(through.reading.force[:, axis], own.force[:, axis], 1) > 0.99
 
@@ -276,13 +279,13 @@ def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_inter
     warnings = []
     with emulated() as (behind, robot):
         robot.machine.config._file = file
-        zero_force(robot.machine.config, 0.2, behind.clock)
+        zero_force(robot.machine, 0.2)
         zero = load_record(file).force_zero
         pull(behind.fin, 0.4, 0.0)
         stopped_in_the_second_log(robot, out)
         pull(behind.fin, 0.0, 0.3)
         two_logs(robot, out, resume=True, warn=warnings.append)
-        serial = robot.machine.sensor.settings.calsn
+        serial = robot.machine.sensor.identity["serial"]
     described = json.loads((out / "dataset.json").read_text())
     first = described["sensor_by_log"]["train-0000"]
     second = described["sensor_by_log"]["train-0001"]
@@ -322,16 +325,6 @@ def test_the_allowed_drift_follows_the_peak_force_of_the_fin(tmp_path, strength,
         pull(behind.fin, 0.0, drift_n)
         two_logs(robot, tmp_path / "data", resume=True, warn=warnings.append)
     assert [re.search(r"limit [\d.]+ N", warning)[0] for warning in warnings] == limits
-
-
-def test_a_log_of_an_earlier_version_has_the_drift_limit_of_the_papers_fin(tmp_path):
-    with emulated() as (_, robot):
-        stopped_in_the_second_log(robot, tmp_path / "data")
-        (state,) = find_bags(tmp_path / "data").glob("*.sensor.json")
-        before = json.loads(state.read_text())
-        del before["force_peak_n"]
-        state.write_text(json.dumps(before))
-        assert len(two_logs(robot, tmp_path / "data", resume=True).train) == 2
 
 
 def test_the_progress_has_more_decimals_for_a_small_fin(tmp_path):

@@ -1,4 +1,4 @@
-"""Format numbers: one table, in code and in the documents; what a newer softfin wrote is refused in
+"""Format numbers: one table, in code and in the documents; any other number is refused in
 one line."""
 
 import json

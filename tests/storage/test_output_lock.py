@@ -5,13 +5,13 @@ import os
 import pytest
 
 from softfin.core.errors import ArtifactError
-from softfin.core.file_lock import lock_file
+from softfin.core.file_lock import lock_file, unlock_file
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
 from softfin.stages.reproduce import reproduce
 from softfin.stages.surrogates import calibrate, fit
 from softfin.storage.output_lock import lock_output
-from softfin.storage.run_directory import CHECKPOINT
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory
 
 MESSAGE = rf"out: in use .*\(process {os.getpid()}\).* --out"
 
@@ -27,29 +27,26 @@ def held(tmp_path):
     """An output that is being written to."""
     descriptor = lock_file(tmp_path / ".out.lock")
     yield tmp_path / "out"
-    os.close(descriptor)
-
-
-def inputs(stage):
-    """What has to be given beside the output."""
-    return () if stage in (collect, reproduce) else ("missing",)
+    unlock_file(descriptor)
 
 
 @pytest.mark.parametrize("options", [{}, {"resume": True}, {"overwrite": True}])
-@pytest.mark.parametrize("stage", [train, fit, calibrate, reproduce])
-def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, options):
+@pytest.mark.parametrize(
+    ("stage", "given"), [(train, ["missing"]), (fit, ["a"]), (calibrate, ["a"]), (reproduce, [])]
+)
+def test_a_second_run_is_refused_and_the_first_one_keeps_its_work(held, stage, given, options):
     checkpoint = held.with_name(".out.unfinished") / CHECKPOINT
     checkpoint.parent.mkdir()
     checkpoint.write_text("of the first run")
     with pytest.raises(ArtifactError, match=MESSAGE):
-        stage(*inputs(stage), out=held, **options)
+        stage(*given, out=held, **options)
     assert checkpoint.read_text() == "of the first run"
 
 
-@pytest.mark.parametrize("stage", [collect, map_forces])
-def test_a_second_stage_is_refused(held, stage):
+@pytest.mark.parametrize(("stage", "given"), [(collect, []), (map_forces, ["missing"])])
+def test_a_second_stage_is_refused(held, stage, given):
     with pytest.raises(ArtifactError, match=MESSAGE):
-        stage(*inputs(stage), out=held)
+        stage(*given, out=held)
 
 
 def test_a_link_to_the_output_is_the_same_output(held):
@@ -79,6 +76,25 @@ def test_a_run_that_fails_leaves_no_lock(tmp_path):
     with pytest.raises(ArtifactError, match="no such log"):
         write(tmp_path / "out", fail)
     write(tmp_path / "out")
+
+
+def test_a_run_that_fails_leaves_no_empty_folder(tmp_path):
+    out = tmp_path / "new" / "folder" / "out"
+
+    @lock_output
+    def fail(out):
+        raise ArtifactError("no such log")
+
+    with pytest.raises(ArtifactError, match="no such log"):
+        fail(out)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unfinished_work_is_next_to_the_lock_also_through_a_link(tmp_path):
+    (tmp_path / "disk").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "disk" / "out")
+    assert RunDirectory(link, {}).folder == tmp_path / "disk" / ".out.unfinished"
 
 
 def test_a_run_works_if_its_output_cannot_be_locked(tmp_path):

@@ -75,11 +75,11 @@ def test_an_unknown_name_is_refused_without_jax():
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("oracle", "surrogate architecture oracle: unknown; use streaming, paper, or package.mod"),
-        ("no_such_package:A", "ModuleNotFoundError: No module named 'no_such_package'; use"),
-        ("json:ARCHITECTURE", "AttributeError: module 'json' has no attribute"),
-        ("json:dumps", "a function is not a softfin.surrogate.Architecture; use"),
-        ("..json:dumps", "TypeError: .*; use streaming"),
+        ("oracle", "surrogate architecture oracle: unknown"),
+        ("no_such_package:A", "'no_such_package'"),
+        ("json:ARCHITECTURE", "'json' has no attribute"),
+        ("json:dumps", "a function is not a softfin.surrogate.Architecture"),
+        ("..json:dumps", "TypeError"),
     ],
 )
 def test_a_name_that_is_no_architecture_is_refused(name, words, tmp_path):
@@ -142,9 +142,7 @@ def test_a_resumed_fit_of_the_example_equals_an_uninterrupted_one(dataset, tmp_p
 def test_its_folder_is_refused_where_its_module_is_missing(tmp_path):
     with gru.in_its_folder():
         save_surrogate(tmp_path / "s", gru.surrogate(), None, {})
-    with pytest.raises(
-        ArtifactError, match=r"No module named 'softfin_gru'; .*where this module is"
-    ):
+    with pytest.raises(ArtifactError, match="'softfin_gru'"):
         load_surrogate(tmp_path / "s")
 
 
@@ -163,12 +161,15 @@ class Faulty:
 
 GOOD = streaming.surrogate()
 PREDICTED = GOOD.predictions([streaming.recorded(433)])
-DRIVE = PREDICTED["drive"]
 
 
 def late(history):
     state = GOOD.warm(history)
     return state._replace(tick=state.tick + 1)
+
+
+def predicting(**changes):
+    return lambda logs: PREDICTED | {"drive": PREDICTED["drive"]._replace(**changes)}
 
 
 def half(self, state, command, ticks):
@@ -179,45 +180,20 @@ def half(self, state, command, ticks):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"warm": None, "scaling": None}, "has no scaling, warm; a surrogate must have all"),
-        ({"model": "oracle"}, "model = 'oracle'; surrogate architecture oracle: unknown; use"),
-        ({"parameters": lambda: 1.5}, r"parameters\(\) is 1.5; it must be a positive int"),
-        ({"init": lambda key: (0, 1)}, "the state starts with no field; it must be a NamedTuple"),
-        (
-            {"to_files": lambda: ({}, {})},
-            "cannot be saved and loaded .*'channels'.*; check to_files",
-        ),
-        (
-            {"to_files": lambda: streaming.surrogate(1).to_files()},
-            "differs after saving and loading; to_files must contain",
-        ),
-        ({"warm": late}, r"history that ends at 3\.33 s, the next reading is at .*must continue"),
+        ({"warm": None, "scaling": None}, "has no scaling, warm"),
+        ({"model": "oracle"}, "model = 'oracle'"),
+        ({"parameters": lambda: 1.5}, r"parameters\(\) is 1.5"),
+        ({"init": lambda key: (0, 1)}, "the state starts with no field"),
+        ({"to_files": lambda: ({}, {})}, r"'channels'.*to_files"),
+        ({"to_files": lambda: streaming.surrogate(1).to_files()}, "differs after saving"),
+        ({"warm": late}, r"history that ends at 3\.33 s"),
         ({"warm": lambda history: GOOD.rest}, "warm and init return different states"),
-        (
-            {"memory": 301},
-            "warm accepts fewer rows than memory; it must raise a softfin.core.errors.LogError",
-        ),
-        (
-            {"predictions": lambda logs: PREDICTED | {"drive": DRIVE._replace(series=[])}},
-            r"drive has series of shapes \[\] for a log of 333 rows; there must be one",
-        ),
-        (
-            {
-                "predictions": lambda logs: (
-                    PREDICTED | {"drive": DRIVE._replace(channels=("speed",))}
-                )
-            },
-            "drive has the channels speed; they must be among angle_rad",
-        ),
-        (
-            {"advance_members": half.__get__(GOOD)},
-            "advance differs from the mean of advance_members",
-        ),
-        ({"member": lambda index: GOOD}, "member.0. differs from the first row"),
-        (
-            {"distance": lambda state: np.ones(2)},
-            r"distance is \[1. 1.\]; it must be a finite number",
-        ),
+        ({"memory": 301}, "warm accepts fewer rows than memory"),
+        ({"predictions": predicting(series=[])}, r"drive has series of shapes \[\]"),
+        ({"predictions": predicting(channels=("speed",))}, "drive has the channels speed"),
+        ({"advance_members": half.__get__(GOOD)}, "the mean of advance_members"),
+        ({"member": lambda index: GOOD}, r"member.0. differs"),
+        ({"distance": lambda state: np.ones(2)}, r"distance is \[1. 1.\]"),
     ],
 )
 def test_the_conformance_kit_names_the_fault(changes, words, monkeypatch):

@@ -46,13 +46,10 @@ def test_a_stored_streaming_surrogate_says_the_same(stored):
 
 def test_the_identity_is_that_of_what_was_loaded_whatever_xla_makes_of_it(stored):
     plant = load_surrogate(stored)
-    other = eqx.tree_at(
-        lambda own: own.rest, plant, jax.tree.map(lambda x: x * (1 + 2**-23), plant.rest)
-    )
-    assert identity(other) == identity(plant)
-    heavier = eqx.tree_at(
-        lambda own: own.members.force.offset, plant, plant.members.force.offset + 1
-    )
+    rest = jax.tree.map(lambda x: x * (1 + 2**-23), plant.rest)
+    assert identity(eqx.tree_at(lambda own: own.rest, plant, rest)) == identity(plant)
+    offset = plant.members.force.offset + 1
+    heavier = eqx.tree_at(lambda own: own.members.force.offset, plant, offset)
     assert identity(heavier) != identity(plant)
 
 
@@ -76,34 +73,16 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(rate_hz=50), "the surrogate runs at 50 Hz; softfin requires 100 Hz"),
-        (
-            lambda d: d.update(format=2),
-            "format is 2, written by a newer softfin; this softfin reads 1; update softfin",
-        ),
-        (
-            lambda d: d.update(model="oracle"),
-            "surrogate architecture oracle: unknown; use streaming, paper, or package.module:ARCH",
-        ),
-        (
-            lambda d: d["channels"]["out"].pop(),
-            r"unsupported channels .*'force_x_n'\]\}; streaming surrogates must have .*'force_y_n'",
-        ),
-        (
-            lambda d: d["networks"]["force"].update(units=4),
-            r"familiarity\.mean has the shape .* expected a finite array of shape .*copy",
-        ),
-        (
-            lambda d: d.update(members=3),
-            r"has the shape \(2, .* expected a finite array of shape \(3, ",
-        ),
+        (lambda d: d.update(rate_hz=50), "50 Hz"),
+        (lambda d: d.update(format=99), "format is 99"),
+        (lambda d: d.update(model="oracle"), "surrogate architecture oracle: unknown"),
+        (lambda d: d["channels"]["out"].pop(), r"channels .*'force_y_n'"),
+        (lambda d: d["networks"]["force"].update(units=4), r"familiarity\.mean has the shape"),
+        (lambda d: d.update(members=3), r"has the shape \(2, .* \(3, "),
         (lambda d: d.update(members="many"), "invalid description of a surrogate"),
         (lambda d: d.pop("scales"), r"invalid description of a surrogate \('scales'\)"),
         (lambda d: d["scales"].update(force_n=-1), "invalid description of a surrogate"),
-        (
-            lambda d: d["networks"]["drive"].update(profile=False),
-            r"networks.drive: profile = False: Input should be True; .* fit the surrogate again",
-        ),
+        (lambda d: d["networks"]["drive"].update(profile=False), r"networks\.drive: profile"),
         (lambda d: d["limits"].pop("angle_min_rad"), "invalid description of a surrogate"),
         (lambda d: d["limits"].update(angle_min_rad="low"), "invalid description of a surrogate"),
     ],
@@ -125,8 +104,5 @@ def test_arrays_that_are_missing_or_short_are_named(stored, name):
         changed = {key: value for key, value in weights.items() if key != name}
         changed |= {} if array is None else {name: array}
         (stored / artifacts.WEIGHTS).write_bytes(artifacts.encode(changed))
-        with pytest.raises(
-            ArtifactError,
-            match=rf"{name} {held}.* expected a finite array of shape .*copy the complete folder again",
-        ):
+        with pytest.raises(ArtifactError, match=rf"{name} {held}"):
             load_surrogate(stored)

@@ -13,7 +13,7 @@ import importlib.metadata
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -172,9 +172,9 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     before = type(controller.step.init())(**state)
     after, action = controller.step.act(OnnxOperations(), before, now)
     outputs = {}
-    command = action_to_command(limits, action)
+    command: Any = action_to_command(limits, action)
     for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
-        outputs[name] = ndonnx.clip(value, *map(float, _round_inwards(low, high)))
+        outputs[name] = ndonnx.clip(cast(Any, value), *map(float, _round_inwards(low, high)))
     for name, value in after._asdict().items():
         outputs[f"{NEXT}{name}"] = ndonnx.reshape(value, initial[name].shape)
     return ndonnx.build(measured | state, outputs)

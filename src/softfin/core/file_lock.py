@@ -5,11 +5,14 @@ import contextlib
 import os
 from pathlib import Path
 
+_open_descriptors: set[int] = set()
+"""Descriptors of the lock files that this process has open."""
+
 
 def lock_file(path: Path) -> int:
     """Create a file if it is missing, lock it, and write this process's ID to it.
 
-    Returns a descriptor; closing it releases the lock. The holder of the lock may remove the file.
+    Returns a descriptor for `unlock_file`. The holder of the lock may remove the file.
     Raises BlockingIOError if the file is already locked, and a different OSError or an ImportError
     if the system does not support locks.
     """
@@ -17,21 +20,42 @@ def lock_file(path: Path) -> int:
     import fcntl
 
     descriptor = _open(path)
+    _open_descriptors.add(descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        os.close(descriptor)
+        unlock_file(descriptor)
         raise
     # The previous holder may have removed the file after it was opened here. Another process could
     # then lock a new file of the same name.
     if os.fstat(descriptor).st_nlink == 0:
-        os.close(descriptor)
+        unlock_file(descriptor)
         return lock_file(path)
     # A full disk must not prevent the lock: only messages and `DeviceLock.take_over` need the ID.
     # Its fixed width overwrites any earlier ID.
     with contextlib.suppress(OSError):
         os.pwrite(descriptor, f"{os.getpid():20}\n".encode(), 0)
     return descriptor
+
+
+def unlock_file(descriptor: int) -> None:
+    """Release a lock of this process; has no effect in a forked child."""
+    if descriptor in _open_descriptors:
+        _open_descriptors.remove(descriptor)
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+def _leave_to_parent() -> None:
+    """Close the descriptors in a forked child, which would otherwise hold the locks after the end
+    of its parent."""
+    for descriptor in list(_open_descriptors):
+        unlock_file(descriptor)
+
+
+# Windows does not have it.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 def find_holder(path: Path) -> int | None:

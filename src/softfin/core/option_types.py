@@ -68,6 +68,9 @@ NAMES = Parameter(metavar="NAME", n_tokens=1, converter=_keep_text)
 RECORDINGS = Parameter(name="*", group="Recordings that softfin did not make")
 """For import options, each an option."""
 
+CONNECTION = Parameter(name="*", group="Connection to other ROS 2 nodes")
+"""For the fields of a connection, each an option."""
+
 HIDDEN = Parameter(parse=False)
 """For a parameter that cannot be typed, such as `progress`."""
 

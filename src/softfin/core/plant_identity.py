@@ -38,7 +38,8 @@ def identity(plant: Plant) -> str:
     # Compiled programs find a plant that is not a pytree by its hash.
     if not is_pytree and (stated is None or type(plant).__hash__ is None):
         raise PlantError(
-            f"plant {name}: not a pytree; make it an equinox.Module, or make it hashable and {STATE_IDENTITY}"
+            f"plant {name}: not a pytree; make it an equinox.Module, or make it hashable and "
+            f"{STATE_IDENTITY}"
         )
     if isinstance(stated, str):
         return f"{name} {stated}"

@@ -22,7 +22,7 @@ forces."""
 
 
 class Link(Protocol):
-    """What carries the records, and their format."""
+    """Carrier of the records, and their format."""
 
     def address(self) -> JsonObject:
         """Return where the records arrive, as in a rig's file."""

@@ -152,12 +152,16 @@ class Reachable(NamedTuple):
     from +x."""
 
     @classmethod
-    def from_dict(cls, description: JsonObject) -> "Reachable":
+    def from_dict(cls, description: object) -> "Reachable":
         """Build a region from the result of `to_dict`.
 
         Raises:
             KeyError, TypeError, ValueError: the data do not describe a region.
         """
+        if not isinstance(description, dict):
+            raise TypeError(
+                f"reachable = {description!r}: must be an object with centre_n and radius_n"
+            )
         centre = np.asarray(description["centre_n"], np.float32)
         radius = np.asarray(description["radius_n"], np.float32)
         is_region = centre.shape == (2,) and radius.ndim == 1 and len(radius) >= 3

@@ -28,6 +28,8 @@ from softfin.rig.machine import Target, Wrench
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 """How the state of a result is printed."""
+MAX_BRAKE_S = 0.5
+"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 
 class CheckResult(NamedTuple):
@@ -97,6 +99,11 @@ class DriveConfig(DeviceConfig):
     acceleration_rad_s2: float = Field(gt=0)
     """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
     gearbox and fin."""
+    quick_stop_rad_s2: float = Field(gt=0)
+    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
+    withstand."""
+    direction: Literal[1, -1] = 1
+    """-1 if the drive's positive direction is that of negative fin angles."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True
@@ -124,6 +131,13 @@ class DriveConfig(DeviceConfig):
     def _limits_fit(self) -> "DriveConfig":
         if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
+        braking_s = self.fastest_rad_s / self.quick_stop_rad_s2
+        if braking_s > MAX_BRAKE_S:
+            raise ValueError(
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop "
+                f"from fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
+                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
+            )
         return self
 
 
@@ -175,14 +189,6 @@ class CurrentLimits(NamedTuple):
 
     peak_a: float | None
     continuous_a: float | None
-
-
-class SampleCounter(NamedTuple):
-    """A sensor's counter, which restarts when the sensor loses power and with it its zero."""
-
-    samples: int
-    rate_hz: float
-    """Measured rate [Hz]; 0 until it is known."""
 
 
 class Drive(Protocol):
@@ -304,8 +310,9 @@ class ForceSensor(Protocol):
         """Lock acquired by `open`, so that no second program uses the sensor."""
 
     @property
-    def serial(self) -> str | None:
-        """Serial number; None if the sensor does not report it or has not been opened."""
+    def identity(self) -> dict[str, str | None]:
+        """Properties that the open sensor reports and that affect its zero, by name, e.g.
+        `serial`."""
 
     @property
     def delay_s(self) -> float:
@@ -313,14 +320,8 @@ class ForceSensor(Protocol):
         [s]."""
 
     @property
-    def sample_counter(self) -> SampleCounter | None:
-        """Counter that reveals that an open sensor has lost its zero; None if the sensor does not
-        keep its zero itself."""
-
-    @property
-    def zero_wrench(self) -> Wrench | None:
-        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]; None if
-        the sensor subtracts it itself."""
+    def zero_wrench(self) -> Wrench:
+        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]."""
 
     def open(self) -> None:
         """Connect and wait for readings. On failure, close again; raises RigError if the sensor
@@ -341,7 +342,7 @@ class ForceSensor(Protocol):
         """Set the zero to the current load; call only while the fin is at rest."""
 
     def restore_zero(self, wrench: Wrench) -> None:
-        """Set an open sensor's `zero_wrench` to a recorded one; only called if it is not None."""
+        """Set an open sensor's `zero_wrench` to a recorded one."""
 
     def checks(self) -> Iterator[CheckResult]:
         """Yield lines for `softfin rig check` about the open sensor; the first describes it."""

@@ -1,18 +1,20 @@
 """Safety code that all drives share: checks before the motor is powered, and the last steps of a
 stop."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Generic, NamedTuple, TypeVar
 
 from softfin.core.clock import Clock
-from softfin.core.errors import DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.quantities import Limits
 from softfin.rig.device import Drive, DriveConfig
-from softfin.rig.safety import OVERSHOOT_RAD
+from softfin.rig.machine import Target
+from softfin.rig.safety import OVERSHOOT_RAD, check_target
+
+Entry = TypeVar("Entry")
 
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
-
-MAX_BRAKE_S = 0.5
-"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
 
 MIN_ATTEMPTS = 3
 """Minimum number of attempts at each step of a stop; one unanswered request may use up its time."""
@@ -22,15 +24,38 @@ STOP_CONFIRMED_S = 0.3
 within this time."""
 
 
-def check_braking(fastest_rad_s: float, quick_stop_rad_s2: float) -> None:
-    """Raise ValueError if a quick stop from the highest velocity [rad/s] takes too long."""
-    braking_s = fastest_rad_s / quick_stop_rad_s2
-    if braking_s > MAX_BRAKE_S:
-        raise ValueError(
-            f"quick_stop_rad_s2 {quick_stop_rad_s2:g} needs {braking_s:.1f} s to stop from "
-            f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
-            f"{fastest_rad_s / MAX_BRAKE_S:.1f} or more"
-        )
+def accept_target(target: Target, limits: Limits) -> Target:
+    """Return a target within the limits, which the drive enforces exactly; raises CommandError if
+    it is outside by more than rounding errors."""
+    if trip := check_target(target, limits):
+        raise CommandError(trip.reason)
+    low_angle, high_angle, slowest, fastest = limits
+    return Target(
+        min(max(target.angle, low_angle), high_angle), min(max(target.velocity, slowest), fastest)
+    )
+
+
+class Setting(NamedTuple, Generic[Entry]):
+    """An entry of a drive, the values that units and limits rely on, and the fix for others."""
+
+    entry: Entry
+    allowed: Container[int]
+    fix: str
+
+
+def check_settings(
+    settings: Iterable[Setting[Entry]], read: Callable[[Entry], int | None], program: str
+) -> tuple[str, ...]:
+    """Raise RigError if a setting has another value; return one note per entry that the drive does
+    not have. `program` is the one with which the user changes settings."""
+    notes = []
+    for setting in settings:
+        value = read(setting.entry)
+        if value is None:
+            notes.append(f"drive has no {setting.entry}; check this setting in {program}")
+        elif value not in setting.allowed:
+            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix} in {program}")
+    return tuple(notes)
 
 
 def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: float) -> bool:
@@ -53,7 +78,9 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
 
     Answers may be lost to such a program, but a final answer must confirm that the motor is off.
     """
-    for _ in range(round(STOP_CONFIRMED_S / step_s)):
+    # By the clock, because a silent drive takes far longer for each answer than a step.
+    end = clock() + STOP_CONFIRMED_S
+    while clock() < end:
         with suppress(DeviceError):
             if not is_off():
                 return False

@@ -1,13 +1,10 @@
-"""The force sensor's zero: set it, verify it, and detect later whether it was lost.
-
-A sensor that keeps its zero loses it when it loses power. Its sample counter reveals that:
-`zero_force` saves the counter in the rig's record, and it is compared each time the rig is opened.
-"""
+"""The force sensor's zero, which softfin subtracts from all readings: measured at rest, saved in
+the rig's record, and used whenever the rig is opened."""
 
 import datetime
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.core.json_object import JsonObject
+from softfin.core.json_object import JsonObject, describe_changes
 from softfin.gaits.reachable import round_size
 from softfin.rig.config import RigConfig
 from softfin.rig.device import ForceSensor, drop_address
@@ -20,20 +17,6 @@ MOVING_N = 0.3
 
 ZERO_N = 0.1
 """Largest mean force after zeroing, in addition to its noise [N], times `tolerance_scale`."""
-
-ATTEMPTS = 3
-"""Number of requests to set the zero; each is a single unacknowledged datagram that may be lost."""
-
-CLOCK_ERROR = 0.02
-"""Relative error of the time derived from the sensor's counter, because its rate is measured over
-half a second only."""
-
-CLOCK_ERROR_S = 2.0
-"""Absolute error of the wall clock [s]."""
-
-MAX_DATE_LAG_S = 3600.0
-"""Longest time by which the wall clock may be behind [s]. Beyond that, a counter that wrapped
-around cannot be distinguished from a restart."""
 
 
 def zero_force(sensor: ForceSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
@@ -52,30 +35,20 @@ def zero_force(sensor: ForceSensor, config: RigConfig, seconds: float = 2.0) -> 
             f"force varies by {worst:.2f} N, but at most {moving_n:g} N is allowed; wait until "
             "the water is calm"
         )
-    for _ in range(ATTEMPTS):
-        sensor.zero()
-        after, noise = sensor.measured(seconds)
-        is_zero = all(
-            abs(force) < zero_n + deviation
-            for force, deviation in zip(after[:3], noise[:3], strict=True)
-        )
-        if is_zero:
-            break
-    else:
+    sensor.zero()
+    after, noise = sensor.measured(seconds)
+    if any(
+        abs(force) >= zero_n + deviation
+        for force, deviation in zip(after[:3], noise[:3], strict=True)
+    ):
         force = ", ".join(f"{value:+.2f}" for value in after[:3])
         raise DeviceError(
-            f"force is still ({force}) N after zeroing {ATTEMPTS} times: each axis must be within "
-            f"{zero_n:g} N plus its noise; wait until the water is calm, check the sensor's "
-            "network, and make sure that no other program uses the sensor"
+            f"force is ({force}) N after zeroing: each axis must be within {zero_n:g} N plus its "
+            "noise; wait until the water is calm"
         )
-    counter = sensor.sample_counter
+    date = datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC)
     zero = ForceZero(
-        date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(
-            timespec="seconds"
-        ),
-        sensor_serial=sensor.serial,
-        ft_sequence=None if counter is None else counter.samples,
-        wall_s=sensor.clock.wall(),
+        date=date.isoformat(timespec="seconds"),
         wrench=sensor.zero_wrench,
         sensor=_settings(sensor),
     )
@@ -96,59 +69,20 @@ def tolerance_scale(config: RigConfig) -> float:
 
 
 def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None:
-    """Return the recorded zero, or None if there is none; raises RigError if the open sensor has
-    lost it or has other settings."""
+    """Make an open sensor use the recorded zero and return it, or None if there is none; raises
+    RigError if the zero is of another sensor or of other settings."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
-    fix = "let the fin rest in the water and run: softfin rig zero --force"
-    if zero.sensor_serial != sensor.serial:
+    if changes := describe_changes(zero.sensor, _settings(sensor)):
         raise RigError(
-            f"{sensor.name}: has serial number {sensor.serial}, but the "
-            f"sensor that was zeroed has {zero.sensor_serial}; connect that sensor, or {fix}"
+            f"{sensor.name}: its settings have changed since its zero was set ({changes}); "
+            "let the fin rest in the water and run: softfin rig zero --force"
         )
-    if (zero.wrench is None) != (sensor.zero_wrench is None):
-        raise RigError(f"{sensor.name}: the zero was set with another type of sensor; {fix}")
-    now = _settings(sensor)
-    before = now if zero.sensor is None else zero.sensor
-    if changes := [
-        f"{name} was {before.get(name)} and is {now.get(name)}"
-        for name in sorted(before | now)
-        if before.get(name) != now.get(name)
-    ]:
-        raise RigError(
-            f"{sensor.name}: its settings have changed since its zero was set "
-            f"({', '.join(changes)}); {fix}"
-        )
-    if zero.wrench is not None:
-        sensor.restore_zero(zero.wrench)
-    counter = sensor.sample_counter
-    if counter is None or zero.ft_sequence is None:
-        return zero
-    # An emulated rig is paused between commands, and so is its sensor's counter.
-    elapsed_s = 0.0 if config.emulation is not None else sensor.clock.wall() - zero.wall_s
-    if has_restarted(zero, counter.samples, elapsed_s, counter.rate_hz):
-        raise RigError(
-            f"{sensor.name}: restarted since its zero was set "
-            f"({zero.date}), so its zero is lost; {fix} (also if this computer's date was wrong)"
-        )
+    sensor.restore_zero(zero.wrench)
     return zero
 
 
 def _settings(sensor: ForceSensor) -> JsonObject:
-    """Return the sensor's configuration, on which its zero depends, without its address."""
-    return drop_address(sensor.config.model_dump(mode="json"))
-
-
-def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_hz: float) -> bool:
-    """Return whether the sensor has counted fewer samples than expected since its zero was set.
-
-    The counter wraps around at 2^32, after 6 days at 7.8 kHz. More samples than expected mean that
-    the wall clock was wrong, not that the sensor restarted.
-    """
-    assert zero.ft_sequence is not None, "only a sensor with a counter can be checked"
-    expected = zero.ft_sequence + ft_rate_hz * elapsed_s
-    # Close to 2^32, `missing` stands for a negative number: more samples than expected.
-    missing = (expected - ft_sequence) % 2**32
-    tolerance = ft_rate_hz * (CLOCK_ERROR * abs(elapsed_s) + CLOCK_ERROR_S)
-    return tolerance < missing < 2**32 - ft_rate_hz * MAX_DATE_LAG_S
+    """Return what the sensor's zero depends on."""
+    return drop_address(sensor.config.model_dump(mode="json")) | sensor.identity

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from softfin.core.clock import Clock
 from softfin.core.errors import RigError
-from softfin.core.file_lock import describe_holder, find_holder, lock_file
+from softfin.core.file_lock import describe_holder, find_holder, lock_file, unlock_file
 
 LOCK_FOLDER = Path("/run/lock")
 """Folder for device locks on Linux (FHS 3.0), often writable by every user."""
@@ -26,8 +26,9 @@ SHARED_FOLDER = Path("/tmp")
 """Folder for device locks if some users cannot write to `LOCK_FOLDER`; TMPDIR is not used, because
 it may differ between users."""
 
-TAKE_OVER_S = 1.0
-"""Time for which `DeviceLock.take_over` waits for the other program to stop its fin and end [s]."""
+TAKE_OVER_S = 3.0
+"""Time for which `DeviceLock.take_over` waits for the other program to stop its fin and end [s].
+The stop of a Dynamixel whose answers are late takes more than a second."""
 
 TAKE_OVER_STEP_S = 0.02
 
@@ -98,8 +99,7 @@ class DeviceLock:
         descriptor = self._descriptor
         self._descriptor = None
         if descriptor is not None:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+            unlock_file(descriptor)
 
 
 def _folder() -> Path:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
+from softfin.core.json_object import describe_changes
 from softfin.rig.config import RigConfig
 from softfin.rig.device import Drive
 from softfin.rig.drive_safety import PausedError
@@ -76,12 +77,9 @@ def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
 def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
     """Describe the changes to the drive and its settings since the proof, because the drive may now
     react differently; empty if there are none."""
-    before = proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node}
-    now = drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host}
-    return ", ".join(
-        f"{name} was {before.get(name)} and is {now.get(name)}"
-        for name in sorted(before.keys() | now.keys())
-        if before.get(name) != now.get(name)
+    return describe_changes(
+        proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node},
+        drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host},
     )
 
 

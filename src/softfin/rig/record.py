@@ -63,18 +63,10 @@ class ForceZero(Configuration):
 
     date: str
     """Date and time, as ISO 8601."""
-    sensor_serial: str | None
-    """Serial number of the sensor's calibration; None if the sensor does not report it."""
-    ft_sequence: int | None = Field(ge=0)
-    """Sensor's sample counter at that time, counted since power-up; a smaller value later means
-    that the sensor restarted. None if the sensor does not keep its zero."""
-    wall_s: float = Field(ge=0)
-    """Wall-clock time of the zero [s since 1970]."""
-    wrench: tuple[float, float, float, float, float, float] | None = None
-    """Wrench that softfin subtracts, in the sensor's axes [N, N m]; None if the sensor subtracts it
-    itself."""
-    sensor: dict[str, JsonValue] | None = None
-    """Configuration of the sensor without its address; None in records of earlier versions."""
+    wrench: tuple[float, float, float, float, float, float]
+    """Wrench that softfin subtracts, in the sensor's axes [N, N m]."""
+    sensor: dict[str, JsonValue]
+    """Configuration of the sensor without its address, and its `identity`."""
 
 
 class RigRecord(Configuration):

@@ -50,7 +50,7 @@ class Rig:
     def open(self) -> None:
         """Connect to both devices and configure the drive; the motor stays off.
 
-        Raises RigError if the sensor has lost the zero that softfin set.
+        Raises RigError if the force zero is of another sensor or of other settings.
         """
         # The drive comes first: if another program is using the rig, this call fails before it
         # takes over that program's sensor stream.
@@ -102,8 +102,8 @@ class Rig:
 
 
 def zero_force(rig: Rig, seconds: float = 2.0) -> JsonObject:
-    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest or
-    the zero was not accepted. The rig is closed afterwards."""
+    """Set the force zero to the force at rest; raises DeviceError if the fin is not at rest. The
+    rig is closed afterwards."""
     try:
         rig.sensor.open()
         return force_zero.zero_force(rig.sensor, rig.config, seconds)

@@ -24,6 +24,10 @@ FORCE_PEAK_N = 30.0
 """Default of `SafetyConfig.force_peak_n` [N]."""
 
 
+SUSTAINED_S = 0.5
+"""Averaging time for sustained values [s]."""
+
+
 class SafetyConfig(Configuration):
     """Safety limits; the defaults leave a margin for a fin like the paper's (less than 13 N and 7.3
     rad/s)."""
@@ -39,18 +43,16 @@ class SafetyConfig(Configuration):
     """Maximum force on any axis at any time [N]. Above the default, the tolerances of the force at
     rest grow in proportion."""
     force_sustained_n: PositiveFloat = 15.0
-    """Maximum mean magnitude of the force over `sustained_s` [N]."""
+    """Maximum mean magnitude of the force over 0.5 s [N]."""
     torque_peak_nm: PositiveFloat = 5.0
     """Maximum torque on any axis at any time [N m]."""
     torque_sustained_nm: PositiveFloat = 3.0
-    """Maximum mean magnitude of the torque over `sustained_s` [N m]."""
+    """Maximum mean magnitude of the torque over 0.5 s [N m]."""
     current_peak_a: PositiveFloat | None = None
     """Maximum motor current at any time [A]; required for a rig, None if the current is not
     measured."""
     current_sustained_a: PositiveFloat | None = None
-    """Maximum mean motor current over `sustained_s` [A]."""
-    sustained_s: float = Field(default=0.5, ge=0.05, le=10)
-    """Averaging time for sustained values [s]."""
+    """Maximum mean motor current over 0.5 s [A]."""
     stale_s: float = Field(default=0.05, ge=0.02, le=1)
     """Maximum age of the angle reading [s]."""
     force_stale_s: float = Field(default=0.15, ge=0.02, le=1)
@@ -132,9 +134,7 @@ class Guard:
     def restart(self) -> None:
         """Forget all samples, so that conditions before a pause of the motor do not count after
         it."""
-        self._means = {
-            name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")
-        }
+        self._means = {name: _Mean(SUSTAINED_S) for name in ("force", "torque", "current")}
         self._outside = _Mean(1.0)
         self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
@@ -266,7 +266,7 @@ class Guard:
             if average > sustained:
                 return Trip(
                     f"{name}_sustained",
-                    f"{name} {average:.2f} {unit} on average over {config.sustained_s:g} s, but "
+                    f"{name} {average:.2f} {unit} on average over {SUSTAINED_S:g} s, but "
                     f"at most {sustained:g} {unit} is allowed; reduce the target",
                 )
         return None

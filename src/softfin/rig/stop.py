@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import SafetyStop
@@ -19,7 +19,7 @@ STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 """Signals that stop the fin; the last one is Ctrl-Z, because a suspended program cannot monitor the
 fin."""
 
-_Handlers: TypeAlias = dict[int, Any]
+_Handlers: TypeAlias = dict[int, Callable[[int, FrameType | None], object] | int | None]
 """Signal handlers by signal number, as in the module `signal`."""
 
 PATIENCE_S = 2.0

@@ -6,8 +6,10 @@ softfin subtracts the zero, so that a restart of the sensor does not lose it.
 """
 
 import math
+from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,12 +39,12 @@ MEASURED_S = 0.5
 KEPT_S = 2.0
 """Time after which unread records are dropped [s]."""
 
+CONSTANT_S = 0.9
+"""Time for which a channel of a sensor with unknown noise may keep its value [s]; less than 1 s, so
+that softfin reports a frozen channel within 1 s."""
+
 MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
-
-CONSTANT_S = 0.9
-"""Time for which a channel may keep its value [s]; less than 1 s, so that softfin reports a frozen
-channel within 1 s."""
 
 
 class StreamedSensorConfig(ForceSensorConfig):
@@ -95,55 +97,65 @@ class TimedWrench(NamedTuple):
     """Time of the record [s]; may be too late, e.g. by the time that it took to arrive."""
 
 
-class RecordSource(Protocol):
+class RecordSource(ABC):
     """Source of the records of one sensor, for `StreamedSensor`."""
 
     unit: str
     """Noun for a record in messages to the user, e.g. line."""
     remedy: str
     """Fix if no records arrive, e.g. check its cable."""
+    constant_s = CONSTANT_S
+    """Time for which a channel may keep its value [s]."""
 
-    @property
-    def name(self) -> str:
-        """Name of the sensor in messages, with its address."""
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """Address of the sensor, for its lock."""
+    def __init__(self, name: str, *key: object) -> None:
+        """`name` of the sensor in messages, with its address, which is also the `key` of its
+        lock."""
+        self.name = name
+        self.key = key
+        self.identity: dict[str, str | None] = {}
+        """Properties of the open sensor, as in `softfin.rig.device.ForceSensor`."""
+        self.counted: Counter[str] = Counter()
+        """Counters since `open`: ``records``, ``lost``, ``late``, ``malformed``, and others."""
 
     @property
     def trouble(self) -> str | None:
         """Reason why no more records will arrive; None while they may."""
+        return None
 
+    @abstractmethod
     def open(self) -> None:
         """Start receiving, with all counters at 0; raises RigError or DeviceError."""
 
+    @abstractmethod
     def take(self) -> Sequence[TimedWrench]:
         """Return the usable records that have arrived since the last call, oldest first, without
         waiting."""
 
-    def watch(self, rate_hz: float) -> None:
+    def watch(self, rate_hz: float) -> None:  # noqa: B027
         """Watch the delay of the records from now on, if `take` cannot correct it; called once
         their rate has been measured."""
 
+    @abstractmethod
     def describe(self) -> str:
         """Describe the records in a few words, for `softfin rig check`."""
 
     def checks(self) -> Iterator[CheckResult]:
         """Yield further lines for `softfin rig check`."""
+        yield from ()
 
+    @abstractmethod
     def explain_silence(self) -> str:
         """Explain why no usable record has arrived, ending with the fix."""
 
+    @abstractmethod
     def complaints(self) -> Sequence[str]:
         """Return one line per fault, ending with its fix."""
 
     def notes(self) -> Sequence[str]:
         """Return notes for the operator, one line each."""
+        return ()
 
-    def counters(self) -> dict[str, int]:
-        """Return the counters since `open`, as in `softfin.rig.device.ForceSensor`."""
-
+    @abstractmethod
     def close(self) -> None:
         """Stop receiving; may be called repeatedly and never raises."""
 
@@ -173,7 +185,7 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        longest = CONSTANT_S * self.config.rate_hz
+        longest = self._source.constant_s * self.config.rate_hz
         # Not every sensor measures more than softfin's two forces.
         self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
         self._force: tuple[float, Wrench] | None = None
@@ -181,14 +193,9 @@ class StreamedSensor:
         self._collected: list[Float[np.ndarray, " 6"]] | None = None
 
     @property
-    def serial(self) -> None:
-        """None, because records contain no serial number."""
-        return None
-
-    @property
-    def sample_counter(self) -> None:
-        """None, because softfin keeps the zero."""
-        return None
+    def identity(self) -> dict[str, str | None]:
+        """Properties that the source reports."""
+        return self._source.identity
 
     @property
     def zero_wrench(self) -> Wrench:
@@ -304,7 +311,8 @@ class StreamedSensor:
 
     def counters(self) -> dict[str, int]:
         """Return the counters since `open`."""
-        return self._source.counters()
+        counted = dict.fromkeys(("records", "lost", "late", "malformed"), 0) | self._source.counted
+        return {f"sensor_{name}": count for name, count in counted.items()}
 
     def close(self) -> None:
         """Close the source; may be called repeatedly and never raises."""

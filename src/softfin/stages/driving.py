@@ -15,10 +15,10 @@ from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
+    CONNECTION,
     CONTROLLER,
     FILE,
     FORCE,
-    HIDDEN,
     PLANT,
     Config,
     Force,
@@ -239,7 +239,7 @@ def ros2(
     strict: bool = False,
     trim: bool = False,
     config: Config = None,
-    connection: Annotated[TransportConfig | None, HIDDEN] = None,
+    connection: Annotated[TransportConfig | None, CONNECTION] = None,
     arm: bool = False,
     yes: bool = False,
     overwrite: bool = False,

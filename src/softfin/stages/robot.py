@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.core.option_types import CONTROLLER, DIR, HIDDEN, PLANT, Config, PathLike
+from softfin.core.option_types import CONNECTION, CONTROLLER, DIR, HIDDEN, PLANT, Config, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.rig.ros2.config import TransportConfig
@@ -127,7 +127,7 @@ def ros2(
     *,
     max_thrust: float | None = None,
     config: Config = None,
-    connection: Annotated[TransportConfig | None, HIDDEN] = None,
+    connection: Annotated[TransportConfig | None, CONNECTION] = None,
 ) -> None:
     """Run a ROS 2 node that distributes the wrenches from a topic among the fins of a robot.
 

@@ -6,7 +6,6 @@ removed when the run ends. If a process is killed, its file remains, but it is n
 """
 
 import contextlib
-import os
 from collections.abc import Callable
 from functools import wraps
 from inspect import signature
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from softfin.core.errors import ArtifactError
-from softfin.core.file_lock import describe_holder, lock_file
+from softfin.core.file_lock import describe_holder, lock_file, unlock_file
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -33,6 +32,7 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
         # Resolve links, because they can give one folder several names.
         out = Path(parameters.bind(*args, **options).arguments["out"]).resolve()
         path = out.with_name(f".{out.name}.lock")
+        missing = [folder for folder in path.parents if not folder.exists()]
         descriptor = _lock(out, path)
         try:
             return stage(*args, **options)
@@ -41,7 +41,11 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
                 # Remove the file while it is still locked, so that no other process can hold it.
                 with contextlib.suppress(OSError):
                     path.unlink()
-                os.close(descriptor)
+                unlock_file(descriptor)
+            # Those that were made for the lock, and that the run has left empty.
+            with contextlib.suppress(OSError):
+                for folder in missing:
+                    folder.rmdir()
 
     return run
 

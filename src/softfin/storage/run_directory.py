@@ -20,7 +20,7 @@ import safetensors
 from jaxtyping import PyTree
 
 from softfin.core.errors import ArtifactError, RunError
-from softfin.core.json_object import JsonObject
+from softfin.core.json_object import JsonObject, describe_changes
 from softfin.storage import artifact as artifacts
 
 Tree = TypeVar("Tree")
@@ -47,7 +47,8 @@ class RunDirectory:
         Raises ArtifactError if there is unfinished work and neither flag is set, and with `resume`
         if the unfinished or finished work belongs to another run.
         """
-        self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
+        # Next to the lock of the output, whatever the name by which it is reached.
+        self.folder = out.resolve().with_name(f".{out.resolve().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
         # With `resume`, a run whose artifact is already finished needs no further work.
         finished = out / TRAINING_LOG / RUN
@@ -192,13 +193,8 @@ def check_same(
     """Raise ArtifactError unless the run at a path is the current one; nested mappings describe
     both."""
     if before != now:
-        was = name_leaves(before)
-        is_ = name_leaves(now)
-        names = [name for name in sorted(was | is_) if was.get(name) != is_.get(name)]
-        differing = ", ".join(
-            f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3]
-        )
-        raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")
+        changes = describe_changes(name_leaves(before), name_leaves(now))
+        raise ArtifactError(f"{path}: belongs to another run ({changes}); {remedy}")
 
 
 def name_path(path: tuple[Hashable, ...]) -> str:

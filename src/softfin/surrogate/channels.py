@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
@@ -104,10 +103,10 @@ class Scaling(Configuration):
         """Return the scaled values of a channel."""
         return values * self.channels[name].scale + self.channels[name].offset
 
-    def physical(self, names: Sequence[str], scaled: Float[Array, "*shape {len(names)}"]) -> Array:
+    def physical(self, names: Sequence[str], scaled: Float[AnyArray, "*shape {len(names)}"]) -> Any:
         """Convert scaled values back to the units of the channels `names`."""
-        scale = jnp.asarray([self.channels[name].scale for name in names], jnp.float32)
-        offset = jnp.asarray([self.channels[name].offset for name in names], jnp.float32)
+        scale = np.asarray([self.channels[name].scale for name in names], np.float32)
+        offset = np.asarray([self.channels[name].offset for name in names], np.float32)
         return (scaled - offset) / scale
 
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:

@@ -169,8 +169,6 @@ def _check_zero(sensor: ForceSensor) -> None:
         if abs(force) > ZERO_N + noise:
             _fail(sensor, f"force is {mean[:3]} N after zero", "it must be zero at this load")
     wrench = sensor.zero_wrench
-    if wrench is None:
-        return
     shifted = (wrench[0] + 1.0, *wrench[1:])
     sensor.restore_zero(shifted)
     if sensor.zero_wrench != shifted:

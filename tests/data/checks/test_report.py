@@ -36,8 +36,7 @@ def test_the_trace_is_about_the_gravest_issue_that_has_a_row():
 def test_lags_and_axes_of_all_logs_are_drawn():
     logs = faulty()
     inspection = inspect(logs)
-    *_, commands, lags, frames = inspection_figure(inspection, logs).get_axes()
-    assert commands.get_xlabel() == "commanded angle [rad]"
+    *_, lags, frames = inspection_figure(inspection, logs).get_axes()
     drawn = [line.get_ydata() for line in lags.get_lines()]
     np.testing.assert_allclose(drawn[1], [one.force_lag_ms for one in inspection.logs])
     widths = {
@@ -57,7 +56,7 @@ def test_the_folder_holds_json_and_the_figure(tmp_path):
     assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000
 
 
-def test_further_channels_have_plots_of_their_own_and_ranges_in_the_summary():
+def test_further_channels_have_ranges_in_the_summary():
     first, second = (cut(log, 0, 2000) for log in tank_logs(2))
     ramp = np.linspace(-1, 3, 2000, dtype=np.float32)
     first = first._replace(channels={"torque_nm": ramp, "price [$]": 0 * ramp})
@@ -68,9 +67,3 @@ def test_further_channels_have_plots_of_their_own_and_ranges_in_the_summary():
         "torque_nm": (-2.0, 6.0),
         "price [$]": (0.0, 0.0),
     }
-    figure = inspection_figure(inspection, logs)
-    figure.canvas.draw()
-    _, _, torque, price, *_ = figure.get_axes()
-    np.testing.assert_array_equal(torque.get_lines()[0].get_ydata(), ramp[:1000])
-    assert torque.get_lines()[0].get_label() == "torque_nm"
-    assert price.get_xlabel() == "time [s]"

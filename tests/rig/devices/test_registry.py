@@ -10,7 +10,7 @@ from softfin.rig.device import ForceSensorType
 from softfin.rig.devices import registry
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.device import AXIA80
-from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.axia80.sensor import RdtSource
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.rig import Rig
 from softfin.storage import plugins
@@ -81,7 +81,7 @@ def test_another_package_adds_a_sensor_through_its_entry_point(values, monkeypat
     config = RigConfig.build(values | {"sensor": values["sensor"] | {"type": "other"}})
     assert isinstance(config.sensor, OtherConfig)
     assert config.model_dump()["sensor"]["type"] == "other"
-    assert isinstance(Rig(config).sensor, Axia80)
+    assert isinstance(Rig(config).sensor._source, RdtSource)
 
 
 def test_a_package_that_cannot_be_imported_is_named(monkeypatch):

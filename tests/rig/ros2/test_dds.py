@@ -195,100 +195,137 @@ def test_a_driver_stops_by_itself_where_softfin_is_killed(tmp_path):
     assert 0.05 < told["angle"] < 1.4
 
 
-def run(code):
-    """In a process of its own: Cyclone DDS reads its environment once."""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
-OPEN = """
-import os
-os.environ.pop("CYCLONEDDS_URI", None)
+FORKS = """
+import json, os, sys
 from softfin.core.errors import SoftfinError
 from softfin.storage.bag.messages import type_store
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.dds import DdsTransport
+from softfin.rig.ros2.dds import DdsTransport, configuration
+
+KIND = "std_msgs/msg/Bool"
+
+
 def opened(**options):
     try:
         return DdsTransport(TransportConfig(domain=231, **options), type_store())
     except SoftfinError as error:
         print(type(error).__name__, error)
+
+
+os.environ.pop("CYCLONEDDS_URI", None)
+for code in json.load(sys.stdin):
+    sys.stdout.flush()
+    if not os.fork():
+        exec(code)
+        sys.stdout.flush()
+        os._exit(0)
+    assert os.wait()[1] == 0
+    print("--")
 """
+"""Runs each code in a process of its own, because Cyclone DDS reads its environment once."""
 
-
-def test_a_process_that_opens_and_closes_leaves_its_domain():
-    code = f"""{OPEN}
-first = opened(); second = opened()
+CODES = {
+    "left": """
+first = opened()
+second = opened()
 print(first.notes)
-first.close(); first.close()
-publisher = second.publish("/fin/x", "std_msgs/msg/Bool")
+first.close()
+first.close()
+publisher = second.publish("/fin/x", KIND)
 print(second.topics(), publisher.readers())
-second.close(); del publisher
-print(opened(network="no-such").__class__.__name__)
-"""
-    lines = run(code).splitlines()
-    assert lines[:2] == ["()", "{} 0"]
-    assert lines[2].startswith("DeviceError DDS domain 231 cannot be used")
-    assert "make sure that the network interface (no-such) exists and is up" in lines[2]
-
-
-def test_the_publishers_of_other_nodes_are_named_until_they_leave():
-    code = f"""{OPEN}
-import os, time
-ours = opened(); theirs = opened()
-kind = "std_msgs/msg/Bool"
-own = ours.publish("/x", kind)
+second.close()
+del publisher
+opened(network="no-such")
+""",
+    "publishers": f"""
+import time
+ours = opened()
+theirs = opened()
+own = ours.publish("/x", KIND)
 def wait(count):
     end = time.monotonic() + {HANG_S}
     while len(ours.publishers("/x")) != count and time.monotonic() < end:
         time.sleep(0.01)
     return [f" {{os.getpid()}} on " in name for name in ours.publishers("/x")]
 print(wait(0))
-first = theirs.publish("/x", kind); second = theirs.publish("/x", kind); elsewhere = theirs.publish("/y", kind)
+first = theirs.publish("/x", KIND)
+second = theirs.publish("/x", KIND)
+elsewhere = theirs.publish("/y", KIND)
 print(wait(2))
 del first
 print(wait(1))
-theirs.close(); del second, elsewhere
+theirs.close()
+del second, elsewhere
 print(wait(0))
 ours.close()
 print(ours.publishers("/x"))
-"""
-    assert run(code).splitlines() == ["[]", "[True, True]", "[True]", "[]", "[]"]
+""",
+    "two networks": 'first = opened()\nopened(network="lo")',
+    "own network": 'print(opened(network="lo").notes)',
+    "own configuration": """
+os.environ["CYCLONEDDS_URI"] = configuration(None)
+print(opened().notes, opened(network="eth7").notes)
+os.environ["CYCLONEDDS_URI"] = "file:///no/such"
+""",
+    "closed": """
+way = opened()
+way.close()
+try:
+    way.publish("/x", KIND)
+except SoftfinError as error:
+    print(type(error).__name__, error)
+""",
+}
 
 
-def test_one_domain_cannot_be_on_two_networks():
-    told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
+@pytest.fixture(scope="module")
+def said():
+    """What each of CODES printed."""
+    done = subprocess.run(
+        [sys.executable, "-c", FORKS],
+        input=json.dumps(list(CODES.values())),
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
+    assert done.returncode == 0, done.stderr
+    return dict(zip(CODES, done.stdout.split("\n--\n"), strict=False))
+
+
+def test_a_process_that_opens_and_closes_leaves_its_domain(said):
+    lines = said["left"].splitlines()
+    assert lines[:2] == ["()", "{} 0"]
+    assert lines[2].startswith("DeviceError DDS domain 231 cannot be used")
+    assert "make sure that the network interface (no-such) exists and is up" in lines[2]
+
+
+def test_the_publishers_of_other_nodes_are_named_until_they_leave(said):
+    assert said["publishers"].splitlines() == ["[]", "[True, True]", "[True]", "[]", "[]"]
+
+
+def test_one_domain_cannot_be_on_two_networks(said):
+    told = said["two networks"]
     assert told.startswith("DeviceError DDS domain 231 cannot be used")
     assert told.endswith("and that this program does not use another interface for this domain")
 
 
-def test_a_network_of_ones_own_comes_with_a_warning():
-    told = run(f'{OPEN}\nprint(opened(network="lo").notes)')
-    assert told == "('everyone on the network of lo can read and write these topics',)"
+def test_a_network_of_ones_own_comes_with_a_warning(said):
+    assert said["own network"] == (
+        "('everyone on the network of lo can read and write these topics',)"
+    )
 
 
-def test_a_users_own_configuration_of_dds_stands():
-    code = f"""{OPEN}
-from softfin.rig.ros2.dds import configuration
-os.environ["CYCLONEDDS_URI"] = configuration(None)
-print(opened().notes, opened(network="eth7").notes)
-os.environ["CYCLONEDDS_URI"] = "file:///no/such"
-"""
-    assert run(code) == (
+def test_a_users_own_configuration_of_dds_stands(said):
+    assert said["own configuration"] == (
         "('DDS is configured by CYCLONEDDS_URI',) ('DDS is configured by CYCLONEDDS_URI, so --network eth7 "
         "is ignored',)"
     )
 
 
-def test_a_closed_way_is_told_and_nothing_hangs():
-    told = run(
-        f'{OPEN}\nway = opened()\nway.close()\ntry:\n    way.publish("/x", "std_msgs/msg/Bool")\n'
-        "except SoftfinError as error:\n    print(type(error).__name__, error)"
+def test_a_closed_way_is_told_and_nothing_hangs(said):
+    assert said["closed"] == (
+        f"{DeviceError.__name__} the connection to ROS 2 is closed; open it again"
     )
-    assert told == f"{DeviceError.__name__} the connection to ROS 2 is closed; open it again"
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "abc"])

@@ -109,12 +109,11 @@ def test_a_sample_is_the_newest_of_both_topics_in_softfins_axes(rig):
     }
 
 
-@pytest.mark.parametrize(("best_effort", "quality"), [(True, "best_effort"), (False, "reliable")])
-def test_readings_are_asked_for_with_the_configured_quality(best_effort, quality):
-    rig = Rig(best_effort=best_effort)
+def test_readings_are_asked_for_with_the_quality_that_every_publisher_offers():
+    rig = Rig()
     rig.machine.open()
     for topic in ("/joint", "/wrench"):
-        assert [asked for _, asked in rig.transport.asked[topic]] == [quality]
+        assert [asked for _, asked in rig.transport.asked[topic]] == ["best_effort"]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_training_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
+from softfin.surrogate.paper import fit
 from softfin.surrogate.paper.fit import PaperLearner, fit_paper, window_starts
 from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.surrogate import small
@@ -73,8 +74,9 @@ def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
     assert fitted.scaling == whole[0].scaling
 
 
-def test_the_best_weights_are_kept_not_the_last(tmp_path):
-    config = CONFIG.changed(["epochs=30", "learning_rate=0.05", "patience=2"])
+def test_the_best_weights_are_kept_not_the_last(tmp_path, monkeypatch):
+    monkeypatch.setattr(fit, "PATIENCE", 2)
+    config = CONFIG.changed(["epochs=30", "learning_rate=0.05"])
     run_directory = RunDirectory(tmp_path / "s", {})
     fitted = fit_paper(LOGS, config, 0, run_directory)
     history = read_training_log(run_directory.folder / LOG)
@@ -100,26 +102,19 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
     )
     assert min(resumed_from) > 0.5
     assert same_weights(whole[0], resumed)
-    assert [entry["step"] for entry in read_training_log(run_directory.folder / LOG)] == [
-        1,
-        2,
-        3,
-        4,
-    ]
+    log = read_training_log(run_directory.folder / LOG)
+    assert [entry["step"] for entry in log] == [1, 2, 3, 4]
 
 
 def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
     run_directory = RunDirectory(tmp_path / "s", {"seed": 0})
     run_directory.save({"x": np.zeros(2)}, {"epoch": 1})
-    with pytest.raises(
-        ArtifactError, match=r"continue with --resume, or discard it with --overwrite"
-    ):
+    with pytest.raises(ArtifactError, match=r"--resume, .*--overwrite"):
         RunDirectory(tmp_path / "s", {"seed": 0})
-    with pytest.raises(ArtifactError, match=r"belongs to another run .seed was 0 and is 1"):
+    with pytest.raises(ArtifactError, match="seed was 0 and is 1"):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
-    assert (
-        RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
-    )
+    anew = RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True)
+    assert anew.load({"x": np.zeros(2)}) is None
 
 
 def test_the_training_log_is_kept(tmp_path):
@@ -134,22 +129,19 @@ def test_damaged_work_is_refused_by_name(tmp_path):
     run_directory = RunDirectory(tmp_path / "s", {})
     run_directory.save({"x": np.zeros(2)}, {})
     (run_directory.folder / "checkpoint.safetensors").write_bytes(b"short")
-    with pytest.raises(
-        ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start again with --overwrite"
-    ):
+    with pytest.raises(ArtifactError, match=r"checkpoint\.safetensors: damaged .*--overwrite"):
         RunDirectory(tmp_path / "s", {}, resume=True)
 
 
 def test_one_log_is_too_few(tmp_path):
-    with pytest.raises(LogError, match="training logs: found 1, expected at least 2"):
+    with pytest.raises(LogError, match="training logs: found 1"):
         fit_paper(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_logs_shorter_than_a_batch_are_refused(tmp_path):
+    short = [small.log(rows=40), small.log(rows=40)]
     with pytest.raises(LogError, match="fewer than one batch of 32"):
-        fit_paper(
-            [small.log(rows=40), small.log(rows=40)], CONFIG, 0, RunDirectory(tmp_path / "s", {})
-        )
+        fit_paper(short, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_column_that_never_changes_is_named(tmp_path):
@@ -169,10 +161,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
 
     monkeypatch.setattr(PaperLearner, "start", far_off)
-    message = (
-        r"loss of the networks is NaN or infinite; lower learning_rate \(--set\) and start again"
-    )
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match="NaN or infinite; lower learning_rate"):
         fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
@@ -199,7 +188,7 @@ def test_a_folder_that_is_no_surrogate_is_refused(tmp_path):
         load_surrogate(tmp_path)
     (tmp_path / "surrogate.json").write_text('{"rate_hz": 50}')
     (tmp_path / artifacts.WEIGHTS).write_bytes((8).to_bytes(8, "little") + b"{}      ")
-    with pytest.raises(ArtifactError, match="the surrogate runs at 50 Hz; softfin requires 100 Hz"):
+    with pytest.raises(ArtifactError, match="50 Hz"):
         load_surrogate(tmp_path)
 
 

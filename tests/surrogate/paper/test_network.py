@@ -46,18 +46,11 @@ def lstm(x, kernel, recurrent, bias):
     return np.array(states)
 
 
-def test_posnet_has_the_parameters_of_table_one():
-    assert POSNET.parameters() == 113_601
-    assert (
-        sum(a.size for a in jax.tree.leaves(Network.create(POSNET, jax.random.key(0)))) == 113_601
-    )
-
-
-def test_forcenet_has_the_parameters_of_table_one():
-    assert FORCENET.parameters() == 129_794
-    assert (
-        sum(a.size for a in jax.tree.leaves(Network.create(FORCENET, jax.random.key(0)))) == 129_794
-    )
+@pytest.mark.parametrize(("config", "parameters"), [(POSNET, 113_601), (FORCENET, 129_794)])
+def test_the_networks_have_the_parameters_of_table_one(config, parameters):
+    assert config.parameters() == parameters
+    leaves = jax.tree.leaves(Network.create(config, jax.random.key(0)))
+    assert sum(array.size for array in leaves) == parameters
 
 
 @pytest.mark.parametrize("kernel", [1, 2, 3, 5])
@@ -90,9 +83,8 @@ def test_counted_flops_are_those_that_the_compiler_counts():
     for config in (POSNET, FORCENET):
         net = Network.create(config, jax.random.key(0))
         x = jnp.zeros((256, len(config.channels), config.window))
-        counted = (
-            jax.jit(lambda net, x: net(x)).lower(net, x).compile().cost_analysis()["flops"] / 256
-        )
+        program = jax.jit(lambda net, x: net(x)).lower(net, x).compile()
+        counted = program.cost_analysis()["flops"] / 256
         assert config.flops() == pytest.approx(counted, rel=0.06)
 
 
@@ -120,29 +112,20 @@ def test_weights_by_name_make_the_same_network():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            lambda a: a.pop("0.kernel"),
-            r"here: 0.kernel is missing; expected a finite array of shape \(5, 100, 128\); copy",
-        ),
-        (
-            lambda a: a.update({"0.bias": np.zeros(3)}),
-            r"0.bias has the shape \(3,\); expected a finite array of shape \(128,\)",
-        ),
+        (lambda a: a.pop("0.kernel"), r"here: 0.kernel is missing; .* \(5, 100, 128\)"),
+        (lambda a: a.update({"0.bias": np.zeros(3)}), r"0.bias has the shape \(3,\); .* \(128,\)"),
         (lambda a: a["0.bias"].fill(np.nan), "0.bias is not finite"),
     ],
 )
 def test_odd_weights_are_refused_by_name(change, words):
-    arrays = {
-        name: array.copy()
-        for name, array in name_net_arrays(Network.create(POSNET, jax.random.key(0)).layers).items()
-    }
+    named = name_net_arrays(Network.create(POSNET, jax.random.key(0)).layers)
+    arrays = {name: array.copy() for name, array in named.items()}
     change(arrays)
     with pytest.raises(ArtifactError, match=words):
         restored(POSNET.shapes(), arrays, "here")
 
 
 def test_an_unknown_layer_is_no_network():
+    described = {"channels": ["a"], "outputs": ["b"], "layers": [{"kind": "attention"}]}
     with pytest.raises(ValidationError, match="attention"):
-        NetworkConfig.model_validate(
-            {"channels": ["a"], "outputs": ["b"], "layers": [{"kind": "attention"}]}
-        )
+        NetworkConfig.model_validate(described)

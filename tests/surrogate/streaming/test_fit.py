@@ -132,23 +132,9 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
 @pytest.mark.parametrize(
     ("logs", "changes", "words"),
     [
-        (
-            LOGS[:1],
-            [],
-            "training logs: found 1, expected at least 2, one for training and one held out",
-        ),
-        (
-            LOGS,
-            ["ticks=390"],
-            "training logs: the longest of 3 has 400 rows; at least 411 are required; .* shorter segments "
-            ".--set ticks=N",
-        ),
-        (
-            [*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)],
-            [],
-            r"held-out logs: none of 1 has 210 rows, .* after burn_in = 10 require; record "
-            r"longer",
-        ),
+        (LOGS[:1], [], "training logs: found 1"),
+        (LOGS, ["ticks=390"], "training logs: .* 411 .*--set ticks"),
+        ([*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)], [], "held-out logs: .* 210 rows"),
     ],
 )
 def test_logs_that_are_too_few_or_too_short_are_refused(tmp_path, logs, changes, words):
@@ -161,10 +147,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    message = (
-        r"loss of the drive networks is NaN or infinite; lower learning_rate \(--set\) and start"
-    )
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match="drive networks is NaN or infinite; lower learning_rate"):
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 

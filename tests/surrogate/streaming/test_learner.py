@@ -178,7 +178,6 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
         ("free_running=[0.5, 1.2]", r"two fractions from 0 to 1 in ascending order"),
         ("members=0", r"members = 0: Input should be greater than 0"),
         ("force.unit=3", r"did you mean 'units'"),
-        ("force.mirror=false", r"force\.mirror = False: Input should be True"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, words):

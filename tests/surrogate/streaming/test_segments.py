@@ -22,9 +22,7 @@ def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
     fitting = [count for count in rows if count >= ticks + MAX_DELAY + 1]
     logs = [numbered(count, i) for i, count in enumerate(rows)]
     if not fitting:
-        with pytest.raises(
-            LogError, match=f"has {max(rows)} rows; at least {ticks + MAX_DELAY + 1} are required"
-        ):
+        with pytest.raises(LogError, match=f"{max(rows)} rows; .* {ticks + MAX_DELAY + 1} "):
             Table.of(logs, ticks)
         return
     table = Table.of(logs, ticks)

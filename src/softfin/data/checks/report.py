@@ -30,9 +30,6 @@ from softfin.storage.figures import (
 SHOWN_LOG_S = 10
 """Length of the log section in the figure, around the first row with an issue [s]."""
 
-CHANNEL_HEIGHT_IN = 1.4
-"""Height of the plot of a further channel [in]."""
-
 
 def write_inspection(
     inspection: Inspection,
@@ -54,21 +51,17 @@ def write_inspection(
 
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
-    """Draw the section of a log with the most severe issue that has a row, and the commands, clocks
-    and force axes of all logs."""
-    section = _choose_section(inspection.issues, logs)
-    extra_in = CHANNEL_HEIGHT_IN * len(section.shown.log.channels)
+    """Draw the section of a log with the most severe issue that has a row, and the clocks and force
+    axes of all logs."""
     with styled():
-        figure = new_figure(13, 8.4 + extra_in)
-        ratios = (1.35 + 2.35 * extra_in / 8.4, 1)
-        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=ratios))
+        figure = new_figure(13, 8.4)
+        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))
         counts = inspection.summary()["counts"]
         totals = [counted(count, kind) for kind, count in counts.items()]
         above.suptitle(", ".join(totals), weight="bold")
-        count = 2 + len(section.shown.log.channels)
-        _draw_log(above.subplots(count, 1, sharex=True).tolist(), section)
-        commands, lags, frames = below.subplots(1, 3)
-        _draw_commands(commands, logs)
+        plots = above.subplots(2, 1, sharex=True).tolist()
+        _draw_log(plots, _choose_section(inspection.issues, logs))
+        lags, frames = below.subplots(1, 2)
         _draw_lags(lags, inspection)
         _draw_frames(frames, inspection)
     return figure
@@ -94,9 +87,9 @@ def _choose_section(issues: Sequence[Issue], logs: Sequence[NamedLog]) -> _Secti
 
 
 def _draw_log(plots: Sequence[Axes], section: _Section) -> None:
-    """Draw angle, force and each further channel below each other."""
+    """Draw angle and force below each other."""
     shown, row, marked = section
-    above, below, *others = plots
+    above, below = plots
     title_end = "" if marked is None else f" around row {row}: {marked.name}"
     # A third of the section lies before the marked row, unless the log ends earlier.
     num_rows = SHOWN_LOG_S * RATE_HZ
@@ -112,40 +105,13 @@ def _draw_log(plots: Sequence[Axes], section: _Section) -> None:
             time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9
         )
     above.set(ylabel="angle, read as rad")
-    below.set(ylabel="force [N]")
-    for axes, (name, values) in zip(others, shown.log.channels.items(), strict=True):
-        # Dollar signs would start a formula.
-        label = name.replace("$", r"\$")
-        axes.plot(time, values[rows], color=BLUE, label=label, linewidth=0.9)
-    plots[-1].set(xlabel="time [s]")
+    below.set(ylabel="force [N]", xlabel="time [s]")
     above.set_title(f"{shown.name}: {SHOWN_LOG_S} s{title_end}")
     for axes in plots:
         if marked is not None and row < shown.log.rows:
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
         axes.margins(y=0.25)
         axes.legend(loc="upper right", ncols=3)
-
-
-def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:
-    for part, colour, marker in (("train", BLUE, "o"), ("test", ORANGE, "^")):
-        # Each command is held for many rows; one point per command suffices.
-        commands = [np.stack(one.log.command, axis=1) for one in logs if one.part == part]
-        pairs = [np.unique(each, axis=0) for each in commands]
-        if pairs:
-            angle, velocity = np.concatenate(pairs).T
-            axes.plot(
-                angle,
-                velocity,
-                marker,
-                color=colour,
-                markersize=1.2,
-                linestyle="",
-                alpha=0.5,
-                label=f"{part} logs",
-                rasterized=True,
-            )
-    axes.set(title="commands", xlabel="commanded angle [rad]", ylabel="commanded velocity [rad/s]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, markerscale=4)
 
 
 def _draw_lags(axes: Axes, inspection: Inspection) -> None:

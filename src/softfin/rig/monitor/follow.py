@@ -7,11 +7,13 @@ The file is opened read-only and closed after each poll, so the recorder is not 
 import contextlib
 import io
 import itertools
+import math
 import os
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from mcap.records import Channel, Footer, Message
@@ -55,7 +57,7 @@ ROLES = {
 }
 """Topic for each role on the page."""
 
-Row: TypeAlias = tuple[float | str, ...]
+Row: TypeAlias = tuple[Any, ...]
 """Time since the recording's first message [s], and the values of a message."""
 
 
@@ -90,8 +92,8 @@ class Trace:
                     rows.append((time_s, *self._values(data)))
         return rows
 
-    def _values(self, data: bytes) -> tuple[float | str, ...]:
-        message = type_store().deserialize_cdr(data, self._type)
+    def _values(self, data: bytes) -> Row:
+        message: Any = type_store().deserialize_cdr(data, self._type)
         if self._type == JOINT_STATE:
             return float(message.position[0]), float(message.velocity[0])
         if self._type == WRENCH_STAMPED:
@@ -166,10 +168,10 @@ class Follower:
         zeros = [(time_s, zero) for time_s, zero in parsed if zero is not None]
         result = {}
         for role in set(ROLES) - {"event"}:
-            values = np.array(self.traces[role].rows(since))
+            values: np.ndarray = np.array(self.traces[role].rows(since))
             if role == "wrench" and len(values):
                 values[:, 1:3] -= zeros_at(zeros, values[:, 0])
-            result[role] = np.where(np.isfinite(values), values, None).tolist()
+            result[role] = [_finite(row) for row in values.tolist()]
         return result
 
     def _choose(self) -> None:
@@ -235,3 +237,7 @@ class Follower:
             return "waiting"
         is_growing = time.monotonic() - self._grown_at < SILENT_RECORDING_S
         return "recording" if is_growing else "silent"
+
+
+def _finite(row: Sequence[float]) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in row]

@@ -184,9 +184,6 @@ class Ros2PlantConfig(Configuration):
     """Time by which the fin may lag behind its commands [s]: the driver's delay plus its ramps
     (twice the velocity divided by the acceleration). Only a longer lag counts as a following
     error."""
-    best_effort: bool = True
-    """Whether to subscribe to joint and wrench with best effort: this matches every publisher, and
-    lost readings are not sent again."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)
     """Longest wait for the first messages [s]."""
     connection: TransportConfig = Field(default_factory=TransportConfig)

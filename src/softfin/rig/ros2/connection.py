@@ -9,7 +9,16 @@ filter; this minimum is relaxed slowly to follow a drifting clock.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import (
+    Any,
+    Generic,
+    Literal,
+    Protocol,
+    SupportsFloat,
+    TypeAlias,
+    TypeVar,
+    runtime_checkable,
+)
 
 from softfin.core.errors import one_line
 from softfin.rig.machine import Wrench
@@ -254,7 +263,7 @@ def check_frame(message: Any, frame: str) -> None:
         raise ValueError(f"its frame is {theirs!r}, expected {frame!r}")
 
 
-def _finite(name: str, value: Any) -> float:
+def _finite(name: str, value: SupportsFloat) -> float:
     number = float(value)
     if not math.isfinite(number):
         raise ValueError(f"its {name} is {number}, not finite")

@@ -268,7 +268,7 @@ def _name_participant(participant: Any, key: UUID) -> str:
     return "{__ProcessName} {__Pid} on {__Hostname}".format_map(values)
 
 
-def _asked(quality: Quality, depth: int) -> Any:
+def _asked(quality: Quality, depth: int) -> Qos:
     """Return the quality of service for a reader."""
     return Qos(
         Policy.Reliability.BestEffort if quality == "best_effort" else RELIABLE,
@@ -278,7 +278,7 @@ def _asked(quality: Quality, depth: int) -> Any:
     )
 
 
-def _offered(deadline_s: float | None) -> Any:
+def _offered(deadline_s: float | None) -> Qos:
     """Return the quality of service for a writer."""
     policies = [
         RELIABLE,
@@ -295,6 +295,6 @@ def _offered(deadline_s: float | None) -> Any:
 
 
 @functools.cache
-def _open_domain(number: int, network: str | None) -> Any:
+def _open_domain(number: int, network: str | None) -> object:
     """Open a DDS domain with our configuration; cached, because the whole process must share it."""
     return Domain(number, configuration(network))

@@ -16,8 +16,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import CommandError, DeviceError, RigError, one_line
+from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
+from softfin.rig.drive_safety import accept_target
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
@@ -25,13 +26,11 @@ from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportCon
 from softfin.rig.ros2.connection import (
     BOOL,
     Publisher,
-    Quality,
     Subscription,
     Transport,
     read_joint,
     read_wrench,
 )
-from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import (
     JOINT_STATE,
     SECOND_NS,
@@ -257,8 +256,8 @@ class Ros2Machine:
         transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], object]) -> Subscription[Any]:
-            quality: Quality = "best_effort" if config.best_effort else "reliable"
-            return Subscription(transport, topic, kind, read, quality=quality)
+            # This matches every publisher, and a reading that is sent again would be too late.
+            return Subscription(transport, topic, kind, read, quality="best_effort")
 
         def encode(target: Target, setpoint: float) -> bytes:
             if flipper is not None:
@@ -358,9 +357,7 @@ class Ros2Machine:
 
     def command(self, target: Target) -> None:
         """Move to a target, replacing the previous one."""
-        trip = check_target(target, self.limits)
-        if trip is not None:
-            raise CommandError(trip.reason)
+        accept_target(target, self.limits)
         with self._lock:
             if not self._enabled or self._topics is None or self._joint is None:
                 raise DeviceError("the fin is not enabled; enable it before you command it")

@@ -133,7 +133,7 @@ class RclpyTransport:
             self.failure = one_line(error)
 
 
-def _asked(quality: Quality, depth: int) -> Any:
+def _asked(quality: Quality, depth: int) -> object:
     """Return the quality of service for a subscription."""
     qos = importlib.import_module("rclpy.qos")
     if quality == "best_effort":
@@ -147,7 +147,7 @@ def _asked(quality: Quality, depth: int) -> Any:
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.RELIABLE)
 
 
-def _offered(deadline_s: float | None) -> Any:
+def _offered(deadline_s: float | None) -> object:
     """Return the quality of service for a publisher."""
     qos = importlib.import_module("rclpy.qos")
     if deadline_s is None:
@@ -162,7 +162,7 @@ def _offered(deadline_s: float | None) -> Any:
     )
 
 
-def _class(kind: str) -> Any:
+def _class(kind: str) -> object:
     package, _, name = kind.split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

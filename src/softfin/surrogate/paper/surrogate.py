@@ -143,7 +143,7 @@ class Surrogate(eqx.Module):
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
         """Return PosNet's predictions for the rows of a log after the first window [rad]."""
         angle = self.posnet.over_table(self.scaling.table(COMMAND_COLUMNS, log))
-        return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
+        return np.asarray(self.scaling.physical([ANGLE], angle))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
         """Return ForceNet's predictions for the rows of a log after the first window [N].
@@ -154,8 +154,7 @@ class Surrogate(eqx.Module):
         if free_running:
             # The first window keeps the measured angle, because PosNet does not predict it.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
-        force = jnp.asarray(self.forcenet.over_table(table))
-        return np.asarray(self.scaling.physical(FORCES, force))
+        return np.asarray(self.scaling.physical(FORCES, self.forcenet.over_table(table)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
         """Predict logs with PosNet, and with ForceNet from both measured and predicted angles."""

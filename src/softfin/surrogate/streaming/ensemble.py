@@ -162,7 +162,7 @@ def predict_force(
     """
 
     def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
-        force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
+        force = np.asarray(_forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some)))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
     return _together(motion, [each.angle.shape[1] for each in motion], predict)
@@ -176,9 +176,9 @@ def _together(
     # The prediction is compiled once for each length.
     for length in set(rows):
         index = np.flatnonzero(np.equal(rows, length)).tolist()
-        predicted = predict([records[i] for i in index])
+        predicted = jax.tree.map(np.asarray, predict([records[i] for i in index]))
         for place, i in enumerate(index):
-            results[i] = jax.tree.map(lambda x, n=place: np.asarray(x[:, n]), predicted)
+            results[i] = jax.tree.map(lambda x, n=place: x[:, n], predicted)
     return results
 
 
@@ -289,7 +289,9 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     """
     long_enough = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1]
     # Consecutive samples are almost equal, so only some are used.
-    memories = [_memories(single(nets), each)[burn_in::EVERY] for each in long_enough[:LOGS]]
+    memories = [
+        np.asarray(_memories(single(nets), each))[burn_in::EVERY] for each in long_enough[:LOGS]
+    ]
     memory = np.concatenate(memories).astype(np.float64)
     # With the covariance V diag(s) V^T, the Mahalanobis distance is |(m - mean) V / sqrt(s)|.
     mean = memory.mean(axis=0)

@@ -134,6 +134,7 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
 
+@jax.jit
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     """Convert a point of the search to coefficients.
 

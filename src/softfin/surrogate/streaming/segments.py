@@ -4,6 +4,7 @@ and the scales of its channels."""
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -106,11 +107,12 @@ class Table(NamedTuple):
                 f"{ticks + MAX_DELAY + 1} are required; record longer logs, or use shorter "
                 "segments (--ticks N)"
             )
-        columns = jnp.asarray(stack_channels(logs))
-        return cls(
-            Command(*columns[:2]), Motion(*columns[2:4]), columns[4:].T, jnp.asarray(choices)
-        )
+        columns = stack_channels(logs)
+        command = Command(*map(jnp.asarray, columns[:2]))
+        motion = Motion(*map(jnp.asarray, columns[2:4]))
+        return cls(command, motion, jnp.asarray(columns[4:].T), jnp.asarray(choices))
 
+    @eqx.filter_jit
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
         """Draw random segments, with replacement."""
         starts = self.starts[jax.random.randint(key, (batch,), 0, self.starts.size)]

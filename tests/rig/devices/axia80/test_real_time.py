@@ -5,21 +5,19 @@ import contextlib
 import pytest
 
 from softfin.emulation.axia80 import EmulatedAxia80
-from softfin.rig.devices.axia80 import sensor as axia80
+from softfin.rig import streamed_sensor
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.axia80.sensor import axia80_sensor
 from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
-
-pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Opened as soon as the filter is full, and no complaint where a busy machine starves the
     emulator."""
-    monkeypatch.setattr(axia80, "MEASURED_S", 0.2)
-    monkeypatch.setattr(axia80, "SILENT_S", HANG_S)
+    monkeypatch.setattr(streamed_sensor, "MEASURED_S", 0.2)
+    monkeypatch.setattr(streamed_sensor, "SILENT_S", HANG_S)
 
 
 @contextlib.contextmanager
@@ -40,7 +38,7 @@ def config_of(sensor):
 def test_the_force_arrives_over_sockets_too():
     wrench = (1.5, -2.5, 3.5, 0.1, -0.2, 0.3)
     with emulated(*wrench) as sensor:
-        client = Axia80(config_of(sensor))
+        client = axia80_sensor(config_of(sensor))
         client.open()
         try:
             assert client.read().wrench == pytest.approx(wrench, abs=1e-3)

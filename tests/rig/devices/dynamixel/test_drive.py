@@ -2,6 +2,7 @@
 
 import math
 import random
+import struct
 
 import pytest
 
@@ -601,7 +602,7 @@ def test_two_servos_with_one_id_are_noticed():
         (protocol.STARTUP_CONFIGURATION, 1, "power its motor or restore old settings; set it to 0"),
         (protocol.STARTUP_CONFIGURATION, 2, "power its motor or restore old settings; set it to 0"),
         (protocol.OPERATING_MODE, 1, "Operating Mode .* is 1: .* set it to 3"),
-        (protocol.DRIVE_MODE, 8, "Drive Mode .* is 8: set it to 0"),
+        (protocol.DRIVE_MODE, 8, "Drive Mode .* is 8: .*set it to 0"),
         (protocol.DRIVE_MODE, 1, "Drive Mode .* is 1: .*drive.direction"),
         (protocol.SHUTDOWN_ERRORS, 0, "Shutdown .* is 0: .*set it to 52"),
         (
@@ -676,6 +677,41 @@ def test_a_servo_that_is_powered_is_refused_and_switched_off():
         assert made.fin.now().angle - angle < 0.4
 
 
+def test_a_foreign_servos_velocity_and_position_are_read_at_the_same_time():
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.1)
+        made.servo.received.clear()
+        Dynamixel(made.drive.config, made.clock).switch_off()
+        reads = {
+            struct.unpack("<HH", packet.data)
+            for packet in made.servo.received
+            if packet.instruction == Instruction.READ
+        }
+        assert (protocol.PRESENT_VELOCITY.address, 8) in reads
+        assert (protocol.PRESENT_POSITION.address, 4) not in reads
+
+
+def test_a_foreign_servo_outside_its_range_gets_no_goal():
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.loop(0.3)
+        assert made.fin.now().angle > 0.5
+        config = made.drive.config.model_copy(update={"angle_max_rad": 0.2})
+        made.servo.received.clear()
+        Dynamixel(config, made.clock).switch_off()
+        assert made.servo.get(TORQUE) == 0
+        assert written(made.servo) == {TORQUE.address, protocol.STATUS_RETURN_LEVEL.address}
+
+
+def written(servo):
+    return {
+        int.from_bytes(packet.data[:2], "little")
+        for packet in servo.received
+        if packet.instruction == Instruction.WRITE
+    }
+
+
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_servo_that_answers_little_is_braked_and_switched_off(level):
     with enabled(heartbeat_s=1.0) as made:
@@ -716,9 +752,10 @@ def deaf(monkeypatch, drive, is_deaf=lambda: True):
     transact = drive.link._transact
 
     def lose(*request):
+        answer = transact(*request)
         if is_deaf():
             raise NoAnswer("no answer")
-        return transact(*request)
+        return answer
 
     monkeypatch.setattr(drive.link, "_transact", lose)
     monkeypatch.setattr(drive.device_lock, "take_over", lambda _: False)
@@ -767,6 +804,28 @@ def test_a_stop_without_a_new_status_leaves_a_fin_at_its_goal():
         assert made.drive.stop_unconfirmed is None
 
 
+def test_a_stop_from_an_old_status_is_corrected_by_the_next_one():
+    with enabled() as made:
+        made.drive.command(Target(1.5, math.pi))
+        made.drive.read()
+        # The statuses end before the fin, which accelerates, has any velocity.
+        made.drive.status = made.drive.status._replace(velocity=0)
+        made.clock.sleep(0.06)
+        lost = iter([True])
+        made.servo.transmit = lambda answer: (
+            () if is_status(answer) and next(lost, False) else (answer,)
+        )
+        highest = made.fin.now().angle
+        thread = made.clock.spawn(made.drive.stop, "stop")
+        while thread.is_alive() or made.fin.now().velocity:
+            made.clock.sleep(0.001)
+            angle = made.fin.now().angle
+            # This fin has no mass: it turns back until the next status, and brakes from there.
+            assert angle > highest - 0.13
+            highest = max(highest, angle)
+        assert made.drive.stop_unconfirmed is None
+
+
 def test_a_stop_without_a_new_status_after_a_new_target_switches_the_torque_off_at_once():
     with enabled() as made:
         made.drive.command(Target(1.5, math.pi))
@@ -780,12 +839,7 @@ def test_a_stop_without_a_new_status_after_a_new_target_switches_the_torque_off_
         made.drive.stop()
         assert made.servo.get(TORQUE) == 0
         assert made.drive.stop_unconfirmed is None
-        writes = [
-            int.from_bytes(packet.data[:2], "little")
-            for packet in made.servo.received
-            if packet.instruction == Instruction.WRITE
-        ]
-        assert protocol.PROFILE_ACCELERATION.address not in writes
+        assert protocol.PROFILE_ACCELERATION.address not in written(made.servo)
         assert made.fin.now().angle <= angle
 
 

@@ -445,10 +445,10 @@ def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from
         (
             protocol.VELOCITY_NOTATION,
             -3,
-            "velocity notation index .* is -3: set it to 0 in EPOS Studio",
+            "velocity notation index .* is -3: .*; set it to 0 in EPOS Studio",
         ),
-        (protocol.POSITION_NOTATION, 1, "every angle will be wrong by a power of ten"),
-        (protocol.ACCELERATION_NOTATION, 1, "every acceleration will be wrong by a power of ten"),
+        (protocol.POSITION_NOTATION, 1, "every angle would be wrong by a power of ten"),
+        (protocol.ACCELERATION_NOTATION, 1, "every acceleration would be wrong by a power of ten"),
     ],
 )
 def test_a_setting_that_changes_units_is_refused(entry: Object, value: int, words: str) -> None:

@@ -2,6 +2,6 @@
 
 from softfin.rig.device import ForceSensorType
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.axia80.sensor import axia80_sensor
 
-AXIA80 = ForceSensorType(Axia80Config, Axia80)
+AXIA80 = ForceSensorType(Axia80Config, axia80_sensor)

@@ -1,4 +1,4 @@
-"""Web pages of an Axia80, read over HTTP before streaming: product, scale and units.
+"""Web pages of an Axia80, read over HTTP before streaming: product, scale, units and its own zero.
 
 ``/netftapi2.xml`` is required, with the five fields that every client needs; ``/netftcalapi.xml``,
 if present, adds the calibration's serial number. The names of the five fields are those that public
@@ -70,6 +70,9 @@ class SensorSettings(Configuration):
     """Force unit [N]."""
     scfgtu: Annotated[float, _read_factor(TORQUE_UNITS)]
     """Torque unit [N m]."""
+    setbias: str | None = None
+    """Zero set in the sensor, e.g. ``0;0;0;0;0;0`` [counts]; None if not reported. Net F/T sensors
+    report it; unverified for an Axia80."""
 
     @property
     def scale(self) -> list[float]:

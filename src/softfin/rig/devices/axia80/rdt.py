@@ -27,7 +27,10 @@ BUSY = 0x80000008
 
 
 class RdtCommand(enum.IntEnum):
-    """Axia commands used by softfin; the sensor does not acknowledge STOP and BIAS."""
+    """Axia commands; the sensor does not acknowledge STOP and BIAS.
+
+    softfin does not send BIAS: the sensor would lose that zero with its supply.
+    """
 
     STOP = 0x0000
     START_OLD = 0x0001

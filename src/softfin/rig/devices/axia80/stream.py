@@ -1,5 +1,4 @@
-"""Stream of an Axia80's records over UDP: counted, timed, scaled, filtered and rotated into
-softfin's axes."""
+"""Client for an Axia80's stream of records over UDP, with the time at which each one arrived."""
 
 import contextlib
 import socket
@@ -7,24 +6,14 @@ import struct
 import sys
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-
 from softfin.core.errors import DeviceError
 from softfin.rig.computer import Computer
-from softfin.rig.device import ForceReading
-from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import (
     RdtCommand,
     RdtRecord,
     decode_record,
     encode_request,
-    wrapped_step,
 )
-from softfin.rig.devices.axia80.watch import StreamWatch
-from softfin.rig.filter import AntiAlias
-from softfin.rig.machine import Wrench, rotated, rotation
-from softfin.rig.stream_clock import StreamClock
 
 BUFFER_BYTES = 4 * 1024 * 1024
 """Requested size of the kernel's receive buffer: seconds of the stream, in case the process is
@@ -34,10 +23,6 @@ MAX_DATAGRAMS = 1000
 """Maximum number of datagrams per call to `drain`. After a pause, 5,000 or more may be waiting;
 processing them all would take several ticks and trip the loop's overrun limit. At 8 kHz, 80 arrive
 per tick, so a backlog still shrinks."""
-
-BACKLOG_S = 0.2
-"""Age beyond the filter's length at which a record is discarded [s]: it is too old to affect a
-usable force."""
 
 UNREAD_S = 0.03
 """Longest time since the socket was empty for which a record without a usable timestamp counts as
@@ -55,14 +40,6 @@ OFFSET_TRIES = 10
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
 """The kernel's timestamp: seconds and nanoseconds of the wall clock."""
-
-LATE_RECORDS = 64
-"""Maximum number of records by which a record may be late; beyond that, it belongs to another
-stream."""
-
-MAX_GAP = 1 << 24
-"""Longest gap [records]: half an hour at 8 kHz. A longer jump starts another stream and is not
-counted as loss."""
 
 
 class Arrival(NamedTuple):
@@ -129,7 +106,7 @@ class RdtClient:
                 self._empty_at = looked_at
                 break
             except OSError:
-                # An ICMP error: an earlier request found no listener. `Axia80.complaints` reports
+                # An ICMP error: an earlier request found no listener. `StreamedSensor` reports
                 # the missing records.
                 self.refused += 1
                 break
@@ -187,124 +164,3 @@ class RdtClient:
                 seconds, nanoseconds = STAMP.unpack(value)
                 return data, float(seconds + nanoseconds * 1e-9)
         return data, None
-
-
-class ForceStream:
-    """Processed stream since the sensor was opened."""
-
-    def __init__(self, config: Axia80Config, scale: list[float], clock: Computer) -> None:
-        """`scale` of the six channels [N/count, N m/count]."""
-        self.client = RdtClient(config.address, config.rdt_port, clock)
-        self._clock = clock
-        self.filter = AntiAlias(config.rate_hz, config.cutoff_hz)
-        self.times = StreamClock(config.rate_hz)
-        self.watch = StreamWatch(config.rate_hz)
-        self.records = self.lost = 0
-        self.late = 0
-        """Records out of order or duplicated, which does not happen on a single cable. They still
-        count as lost."""
-        self.discarded = 0
-        """Records that were too old when received, e.g. after a pause."""
-        self.status = 0
-        """Status bits set in any of the latest records."""
-        self.taken = clock()
-        """Time at which the latest record was read from the socket [s]; later than its arrival if
-        the process was delayed."""
-        self.requested = clock()
-        """Time of the last request for the stream [s]."""
-        self.collected: list[Float[np.ndarray, " 6"]] | None = None
-        """List to which every record is appended, in the sensor's axes [N, N m], if the caller sets
-        one."""
-        self.rotation = rotation(config.frame)
-        self._scale = np.array(scale)
-        self._sequence: int | None = None
-        """Sequence number of the latest record."""
-        self._missing = 0
-        """Number of records lost or discarded since the last one passed to the filter."""
-        self._force: tuple[float, Wrench] | None = None
-        self._peak = np.zeros(6)
-
-    @property
-    def delay_s(self) -> float:
-        """Filter delay [s]."""
-        return self.filter.delay / self.times.rate_hz
-
-    def request(self) -> None:
-        """Request a stream; its first record comes next."""
-        self.client.send(RdtCommand.START)
-        self.requested = self._clock()
-        self._begin()
-
-    def take(self) -> None:
-        """Process the records that have arrived."""
-        arrivals = self.client.drain()
-        if not arrivals:
-            return
-        self.taken = self._clock()
-        self.status = 0
-        # The filter is as long as twice its delay.
-        oldest_useful = self.taken - 2 * self.delay_s - BACKLOG_S
-        newest = None
-        for record, time in arrivals:
-            self.records += 1
-            self.status |= record.status
-            if not self._advance(record, time):
-                self.late += 1
-            elif time < oldest_useful:
-                self.discarded += 1
-                self._missing += 1
-            else:
-                self._put(record)
-                newest = time
-        if newest is not None:
-            self.times.stamp(self.filter.newest, newest)
-
-    def reading(self) -> ForceReading | None:
-        """Return the latest force, which does not change during a gap; None before the first."""
-        output = self.filter.output()
-        if output is not None:
-            moment = self.times.estimate_time(self.filter.newest) - self.delay_s
-            # The measured rate is still settling, but reported times must not go backwards.
-            latest = moment if self._force is None else max(moment, self._force[0])
-            self._force = (latest, rotated(output, self.rotation))
-        if self._force is None:
-            return None
-        # The rotation only permutes axes and flips signs, so the magnitudes can be rotated with its
-        # absolute value.
-        peak = rotated(self._peak, np.abs(self.rotation))
-        self._peak = np.zeros(6)
-        return ForceReading(*self._force, peak)
-
-    def _begin(self) -> None:
-        """Start over: the next record must not be joined to earlier ones."""
-        self._sequence = None
-        self._missing = 0
-        self.filter.clear()
-        self.times.restart()
-
-    def _advance(self, record: RdtRecord, time: float) -> bool:
-        """Count a record; return False if it is not newer than those before."""
-        step = 1 if self._sequence is None else wrapped_step(self._sequence, record.rdt_sequence)
-        if not -LATE_RECORDS <= step <= MAX_GAP:
-            # The sensor started another stream. If the jump were treated as a gap, the measured
-            # rate would be in the billions.
-            self._begin()
-            step = 1
-        if step <= 0:
-            return False
-        self._sequence = record.rdt_sequence
-        self.lost += step - 1
-        self._missing += step - 1
-        self.watch.take(record, time)
-        return True
-
-    def _put(self, record: RdtRecord) -> None:
-        if not self.filter.bridges(self._missing):
-            # The gap may not correspond to elapsed time, if the sensor's sequence numbers jumped.
-            self.times.restart()
-        values = self._scale * record.counts
-        self.filter.put(values, self._missing)
-        self._missing = 0
-        np.maximum(self._peak, np.abs(values), out=self._peak)
-        if self.collected is not None:
-            self.collected.append(values)

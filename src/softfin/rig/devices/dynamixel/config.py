@@ -15,7 +15,6 @@ from softfin.core.dynamixel import (
 )
 from softfin.rig.device import DriveConfig
 from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WATCHDOG_UNIT_S
-from softfin.rig.drive_safety import check_braking
 from softfin.rig.safety import OVERSHOOT_RAD
 
 MAX_ACCELERATION = 32_767
@@ -39,11 +38,6 @@ class DynamixelConfig(DriveConfig):
     """ID of the servo."""
     baud: Literal[1_000_000, 2_000_000, 3_000_000, 4_000_000] = 1_000_000
     """Bits per second; a new servo is set to 57600, which is too slow for 100 Hz."""
-    direction: Literal[1, -1] = 1
-    """-1 if increasing positions correspond to decreasing fin angles."""
-    quick_stop_rad_s2: float = Field(gt=0)
-    """Deceleration of a stop [rad/s2], at least `acceleration_rad_s2`; no default, because it
-    depends on what the fin's mount can withstand."""
     heartbeat_s: float = Field(0.1, ge=0.1, le=1)
     """Time without an instruction after which the servo stops by itself [s], in steps of 20 ms
     (Bus Watchdog)."""
@@ -69,7 +63,6 @@ class DynamixelConfig(DriveConfig):
                 f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} is below acceleration_rad_s2, so a "
                 "stop would run past the target; increase it"
             )
-        check_braking(self.fastest_rad_s, self.quick_stop_rad_s2)
         units = Units.of(self)
         if units.speed(self.slowest_rad_s) == 0:
             # The servo takes 0 for "as fast as possible".

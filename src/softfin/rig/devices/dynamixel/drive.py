@@ -8,13 +8,14 @@ comes to rest with `quick_stop_rad_s2`, and then switches its torque off. If sof
 watchdog stops the servo, which then holds its position with its torque on.
 """
 
+import os
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
-from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
@@ -25,6 +26,7 @@ from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, St
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.drive_safety import (
     UNCONFIRMED,
+    accept_target,
     check_fin_angle,
     check_no_pause,
     stays_off,
@@ -33,7 +35,7 @@ from softfin.rig.drive_safety import (
 )
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
-from softfin.rig.safety import check_target
+from softfin.rig.safety import OVERSHOOT_RAD
 
 ANSWER_S = 0.006
 """Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
@@ -79,6 +81,9 @@ WATCHDOG_LINE = f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
 _MOTION = struct.Struct("<iii")
 """Profile acceleration, profile velocity and goal position, which are next to each other."""
 
+_PRESENT = struct.Struct("<ii")
+"""Present velocity and position, which are next to each other."""
+
 
 class Dynamixel:
     """A Dynamixel: open, enable, command, stop."""
@@ -90,7 +95,7 @@ class Dynamixel:
         self.units = Units.of(config)
         self.where = f"{config.port}, ID {config.id}"
         # A lock for the port, because the watchdog of a servo does not distinguish between servos.
-        self.device_lock = DeviceLock(self.link.name, "serial", config.port)
+        self.device_lock = DeviceLock(self.link.name, "serial", os.path.realpath(config.port))
         self.serial: int | None = None
         """None, because a Dynamixel has no serial number."""
         self._firmware: int | None = None
@@ -145,7 +150,7 @@ class Dynamixel:
         self.connect()
         try:
             setup.answer_everything(self.link)
-            setup.check_settings(self.link, self.config)
+            setup.check_setup(self.link, self.config)
             self._homing_offset = self.link.read(protocol.HOMING_OFFSET)
             self.powered = False
             self._owned = True
@@ -198,12 +203,9 @@ class Dynamixel:
     def command(self, target: Target) -> None:
         """Move to the target, replacing the previous one; raises CommandError if it is outside the
         limits and DeviceError if the drive is not enabled."""
-        low_angle, high_angle, slowest, fastest = limits = self.config.limits
-        if trip := check_target(target, limits):
-            raise CommandError(trip.reason)
-        # `check_target` tolerates rounding errors, but the servo enforces its limits exactly.
-        goal = self.units.position(min(max(target.angle, low_angle), high_angle))
-        speed = self.units.speed(min(max(target.velocity, slowest), fastest))
+        angle, velocity = accept_target(target, self.config.limits)
+        goal = self.units.position(angle)
+        speed = self.units.speed(velocity)
         acceleration = self.units.acceleration(self.config.acceleration_rad_s2)
         with self.link.lock:
             if not self.armed:
@@ -646,6 +648,10 @@ class Dynamixel:
             status = self._known_status()
             if is_new:
                 braking = self._braking(status.position, status.velocity)
+                if not is_fresh:
+                    # The first goal is from an old status, and may turn the fin back.
+                    is_fresh = True
+                    is_braking = self._brake(braking)
             is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
             ticks_at_rest = ticks_at_rest + 1 if is_new and is_still else 0
             if ticks_at_rest >= 2 or (is_new and not status.torque):
@@ -731,8 +737,13 @@ class Dynamixel:
 
     def _brake_now(self) -> bool:
         """Brake a servo that another program has powered; return whether it has this goal."""
-        velocity = self.link.read(protocol.PRESENT_VELOCITY)
-        return self._brake(self._braking(self.link.read(protocol.PRESENT_POSITION), velocity))
+        data = self.link.read_bytes(
+            protocol.PRESENT_VELOCITY.address, _PRESENT.size, SETUP_ANSWER_S, "its motion"
+        )
+        velocity, position = _PRESENT.unpack(data)
+        lowest, highest = position_range(self.config, OVERSHOOT_RAD)
+        # A goal from elsewhere would turn the fin.
+        return lowest <= position <= highest and self._brake(self._braking(position, velocity))
 
     def _is_at_rest(self) -> bool:
         velocity = self.link.read(protocol.PRESENT_VELOCITY)

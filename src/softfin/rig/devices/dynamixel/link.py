@@ -110,16 +110,13 @@ class ServoLink:
 
     def write_unanswered(self, entry: Entry, value: int) -> None:
         """Send an entry without waiting for the answer; raises DeviceError."""
-        data = struct.pack("<H", entry.address) + entry.layout.pack(value)
+        request = struct.pack("<H", entry.address) + entry.layout.pack(value)
         with self._using_port() as port:
-            port.write(self._encode(Instruction.WRITE, data))
+            port.write(encode_packet(Packet(self._config.id, Instruction.WRITE, request)))
 
     def reboot(self) -> None:
         """Restart the servo; raises DeviceError."""
         self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
-
-    def _encode(self, instruction: Instruction, request: bytes) -> bytes:
-        return encode_packet(Packet(self._config.id, instruction, request))
 
     @contextlib.contextmanager
     def _using_port(self) -> Iterator[SerialPort]:
@@ -144,11 +141,14 @@ class ServoLink:
     ) -> bytes:
         """Send an instruction and return the data of its answer, which has `size` bytes."""
         with self._using_port() as port:
-            # Late answers must not be taken for the next one. `reset_input_buffer` raises
-            # termios.error, which is not an OSError, at an unplugged port.
-            port.read(port.in_waiting)
+            # Late answers must not be taken for the next one. If a second program takes them first,
+            # this is an error, but the instruction, which may be a stop, must be sent.
+            # `reset_input_buffer` raises termios.error, which is not an OSError, at an unplugged
+            # port.
+            with contextlib.suppress(OSError):
+                port.read(port.in_waiting)
             self._parser.clear()
-            port.write(self._encode(instruction, request))
+            port.write(encode_packet(Packet(self._config.id, instruction, request)))
             answer = self._await_answer(port, size, self._clock() + answer_s)
         if answer is None:
             self.counters["answers missing"] += 1

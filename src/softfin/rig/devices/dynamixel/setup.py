@@ -2,9 +2,7 @@
 zero."""
 
 import struct
-from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple
 
 from softfin.core.dynamixel import MODELS
 from softfin.core.errors import DeviceError, RigError
@@ -12,6 +10,7 @@ from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
 from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, ServoLink
 from softfin.rig.devices.dynamixel.protocol import Entry, error_line
+from softfin.rig.drive_safety import Setting, check_settings
 from softfin.rig.safety import OVERSHOOT_RAD
 
 WATCHDOG_STOPPED = (
@@ -53,68 +52,59 @@ def answer_everything(link: ServoLink) -> None:
         link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
 
 
-class Setting(NamedTuple):
-    """An entry of the EEPROM, a test for its value, and the fix for other values."""
-
-    entry: Entry
-    fits: Callable[[int], bool]
-    fix: str
-
-
-def settings(config: DynamixelConfig) -> tuple[Setting, ...]:
+def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
     """Return the settings to check before anything is written."""
     lowest, highest = position_range(config)
     outer_lowest, outer_highest = position_range(config, OVERSHOOT_RAD)
     fastest = Units.of(config).speed(config.fastest_rad_s)
+    default = protocol.SHUTDOWN_DEFAULT
     return (
         Setting(
             protocol.OPERATING_MODE,
-            lambda value: value == protocol.POSITION_MODE,
+            (protocol.POSITION_MODE,),
             f"the servo enforces the fin's limits in position mode only; set it to "
             f"{protocol.POSITION_MODE}",
         ),
+        # Bit 0 reverses the direction, bit 2 makes a velocity a duration, and with bit 3 a target
+        # would power a motor that has been stopped.
         Setting(
-            protocol.DRIVE_MODE,
-            # Bit 0 reverses the direction, bit 2 makes a velocity a duration, and with bit 3 a
-            # target would power a motor that has been stopped.
-            lambda value: value == 0,
-            "set it to 0, and use drive.direction to reverse the fin",
+            protocol.DRIVE_MODE, (0,), "use drive.direction to reverse the fin, and set it to 0"
         ),
+        # Bit 0 powers the motor at power-on, before any program is connected. Bit 1 restores the
+        # indirect addresses, so softfin would not notice a restart.
         Setting(
             protocol.STARTUP_CONFIGURATION,
-            # Bit 0 powers the motor at power-on, before any program is connected. Bit 1 restores
-            # the indirect addresses, so softfin would not notice a restart.
-            lambda value: value == 0,
+            (0,),
             "at power-on, the servo could power its motor or restore old settings; set it to 0",
         ),
         Setting(
             protocol.SHUTDOWN_ERRORS,
-            lambda value: value & protocol.SHUTDOWN_DEFAULT == protocol.SHUTDOWN_DEFAULT,
+            [value for value in range(256) if value & default == default],
             "the servo would not protect itself from overload, shock and heat; set it to "
-            f"{int(protocol.SHUTDOWN_DEFAULT)}",
+            f"{int(default)}",
         ),
         Setting(
             protocol.MIN_POSITION_LIMIT,
-            lambda value: outer_lowest <= value <= lowest,
+            range(outer_lowest, lowest + 1),
             f"the rig file needs {outer_lowest} to {lowest}; correct the file, or set the servo to "
             f"{outer_lowest}",
         ),
         Setting(
             protocol.MAX_POSITION_LIMIT,
-            lambda value: highest <= value <= outer_highest,
+            range(highest, outer_highest + 1),
             f"the rig file needs {highest} to {outer_highest}; correct the file, or set the servo "
             f"to {outer_highest}",
         ),
         Setting(
             protocol.VELOCITY_LIMIT,
-            lambda value: value == fastest,
+            (fastest,),
             f"fastest_rad_s is {fastest} in the servo's unit; correct the rig file, or set the "
             f"servo to {fastest}",
         ),
     )
 
 
-def check_settings(link: ServoLink, config: DynamixelConfig) -> None:
+def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
     """Raise RigError if the servo is in fault, already powered, or set up differently from the
     rig's file."""
     if fault := read_fault(link):
@@ -123,10 +113,7 @@ def check_settings(link: ServoLink, config: DynamixelConfig) -> None:
         raise RigError(
             "servo is already powered; end the program that drives it, or run: softfin rig stop"
         )
-    for setting in settings(config):
-        value = link.read(setting.entry)
-        if not setting.fits(value):
-            raise RigError(f"servo's {setting.entry} is {value}: {setting.fix} in DYNAMIXEL Wizard")
+    check_settings(settings(config), link.read, "DYNAMIXEL Wizard")
 
 
 def read_fault(link: ServoLink) -> str | None:

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from softfin.core.quantities import TICK_S
 from softfin.rig.device import DriveConfig
-from softfin.rig.drive_safety import check_braking
 
 
 class Epos2Config(DriveConfig):
@@ -25,13 +24,8 @@ class Epos2Config(DriveConfig):
     """Encoder lines (pulses) per motor revolution; must match the setting in the drive."""
     gear_ratio: float = Field(gt=0)
     """Motor revolutions per revolution of the fin shaft; 1 without a gearbox."""
-    direction: Literal[1, -1] = 1
-    """-1 if positive counts correspond to negative fin angles."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
     """Fin angle at which the drive's position is zero [rad]."""
-    quick_stop_rad_s2: float = Field(gt=0)
-    """Quick-stop deceleration [rad/s2]; no default, because it depends on what the fin's mount can
-    withstand."""
     following_error_rad: float = Field(gt=0, le=1)
     """Following error at which the drive faults [rad]; no default. If it is too large, a blocked
     fin burns out its motor."""
@@ -69,7 +63,6 @@ class Epos2Config(DriveConfig):
                 f"node and host_node are both {self.node}; set host_node to a node number that is "
                 "not in use"
             )
-        check_braking(self.fastest_rad_s, self.quick_stop_rad_s2)
         # The drive's velocities are integers in rpm: at 0 rpm it would never reach a target.
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(

@@ -7,14 +7,13 @@ emulator, not yet with a real drive.
 
 from collections.abc import Callable, Iterator
 
-from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
+from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.devices.epos2.protocol import Bit, State
-from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
+from softfin.rig.drive_safety import UNCONFIRMED, accept_target, check_fin_angle, stopped_afterwards
 from softfin.rig.machine import Target
-from softfin.rig.safety import check_target
 
 ANSWER_S = 0.006
 """Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
@@ -58,7 +57,7 @@ class Epos2(Exchange):
         close again."""
         self.connect()
         try:
-            self.notes = procedures.check_settings(self.connection, self.config)
+            self.notes = procedures.check_setup(self.connection, self.config)
             self.powered = False
             self.owned = True
             self.connection.send(
@@ -143,13 +142,9 @@ class Epos2(Exchange):
     def command(self, target: Target) -> None:
         """Move to the target, replacing the previous one; raises CommandError if it is outside the
         limits and DeviceError if the drive is not enabled."""
-        low_angle, high_angle, slowest, fastest = limits = self.config.limits
-        if trip := check_target(target, limits):
-            raise CommandError(trip.reason)
-        # `check_target` tolerates rounding errors, but the drive enforces its limits exactly to the
-        # count: clamp the target to them.
-        counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
-        rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
+        angle, velocity = accept_target(target, self.config.limits)
+        counts = self.units.counts(angle)
+        rpm = self.units.rpm(velocity)
         with self.lock:
             if not self.armed:
                 raise DeviceError("drive is not enabled; enable it before you command it")

@@ -6,7 +6,6 @@ settings when powered down.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.epos2 import protocol
@@ -14,7 +13,7 @@ from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.connection import CanConnection, SdoRefusal
 from softfin.rig.devices.epos2.exchange import Exchange
 from softfin.rig.devices.epos2.protocol import Bit, Object, State, fault_line
-from softfin.rig.drive_safety import check_no_pause, stays_off, try_until
+from softfin.rig.drive_safety import Setting, check_no_pause, check_settings, stays_off, try_until
 from softfin.rig.safety import OVERSHOOT_RAD
 
 LISTEN_S = 0.3
@@ -106,58 +105,35 @@ def read_optional(connection: CanConnection, entry: Object) -> int | None:
         return None
 
 
-class Setting(NamedTuple):
-    """An object, a test for the values that units and limits rely on, and the fix for other
-    values."""
-
-    entry: Object
-    fits: Callable[[int], bool]
-    fix: str
-
-
-def settings(config: Epos2Config) -> tuple[Setting, ...]:
+def settings(config: Epos2Config) -> tuple[Setting[Object], ...]:
     """Return the settings to check before anything is written."""
-    in_epos_studio = "set it to 0 in EPOS Studio, or every {} will be wrong by a power of ten"
+    lines = config.encoder_lines
+    power_of_ten = "every {} would be wrong by a power of ten; set it to 0"
     return (
+        # CiA 402: the lower 16 bits contain the device profile number.
         Setting(
             protocol.DEVICE_TYPE,
-            # CiA 402: the lower 16 bits contain the device profile number.
-            lambda value: value & 0xFFFF == 402,
-            "not a CiA 402 drive; correct drive.node",
+            range(402, 1 << 32, 1 << 16),
+            "not a CiA 402 drive; correct drive.node, or check it",
         ),
-        Setting(
-            protocol.MOTOR_TYPE,
-            # Not verified: 1 is a brushed DC motor, 10 and 11 are brushless motors. All accept the
-            # same commands.
-            lambda value: value in (1, 10, 11),
-            "an unsupported motor type; set the motor type in EPOS Studio",
-        ),
+        # Not verified: 1 is a brushed DC motor, 10 and 11 are brushless motors. All accept the same
+        # commands.
+        Setting(protocol.MOTOR_TYPE, (1, 10, 11), "an unsupported motor type; set it"),
         Setting(
             protocol.ENCODER_LINES,
-            lambda value: value == config.encoder_lines,
-            f"lines in the drive, but encoder_lines is {config.encoder_lines} in the rig's file; "
-            "correct the wrong one, or every angle will be wrong",
+            (lines,),
+            f"lines in the drive, but encoder_lines is {lines} in the rig's file, so every angle "
+            "would be wrong; correct it there, or",
         ),
-        Setting(
-            protocol.POSITION_NOTATION, lambda value: value == 0, in_epos_studio.format("angle")
-        ),
-        Setting(
-            protocol.VELOCITY_NOTATION, lambda value: value == 0, in_epos_studio.format("velocity")
-        ),
-        Setting(
-            protocol.ACCELERATION_NOTATION,
-            lambda value: value == 0,
-            in_epos_studio.format("acceleration"),
-        ),
+        Setting(protocol.POSITION_NOTATION, (0,), power_of_ten.format("angle")),
+        Setting(protocol.VELOCITY_NOTATION, (0,), power_of_ten.format("velocity")),
+        Setting(protocol.ACCELERATION_NOTATION, (0,), power_of_ten.format("acceleration")),
     )
 
 
-def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
+def check_setup(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
     """Raise RigError if the drive is in fault, already enabled, or set up differently from the
-    rig's file.
-
-    Return one note per object that the drive does not have.
-    """
+    rig's file; return one note per object that the drive does not have."""
     if fault := read_fault(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
@@ -168,14 +144,9 @@ def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str,
             f"drive is already {words}; end the program that drives it, or switch the drive off "
             "and on"
         )
-    notes = []
-    for setting in settings(config):
-        value = read_optional(connection, setting.entry)
-        if value is None:
-            notes.append(f"drive has no {setting.entry}; check this setting in EPOS Studio")
-        elif not setting.fits(value):
-            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix}")
-    return tuple(notes)
+    return check_settings(
+        settings(config), lambda entry: read_optional(connection, entry), "EPOS Studio"
+    )
 
 
 def set_reactions(connection: CanConnection) -> tuple[str, ...]:

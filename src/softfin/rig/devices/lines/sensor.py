@@ -1,5 +1,6 @@
 """A force sensor that sends lines of text: its lines as records for a `StreamedSensor`."""
 
+import os
 from collections.abc import Iterator
 
 from softfin.core.printable import printable
@@ -11,6 +12,7 @@ from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_tran
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
+    RecordSource,
     StreamedSensor,
     TimedWrench,
 )
@@ -21,13 +23,17 @@ def lines_sensor(config: LinesConfig, clock: Computer = COMPUTER) -> StreamedSen
     return StreamedSensor(config, LineSource(config, clock), clock)
 
 
-class LineSource:
+class LineSource(RecordSource):
     """The lines of one sensor."""
 
     unit = "line"
     remedy = "check its cable and supply"
 
     def __init__(self, config: LinesConfig, clock: Computer) -> None:
+        port = config.port
+        name = port or f"{config.address} on UDP port {config.udp_port}"
+        # A port may have several names.
+        super().__init__(name, "lines", os.path.realpath(port) if port else config.udp_port)
         self.config = config
         self.clock = clock
         self._parser = LineParser(config)
@@ -35,7 +41,7 @@ class LineSource:
         self._reset()
 
     def _reset(self) -> None:
-        self.records = self.lost = self.late = self.malformed = 0
+        self.counted.clear()
         self._counter = LineCounter(self.config)
         self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
         self._count_s: float | None = None
@@ -46,16 +52,6 @@ class LineSource:
         self._malformed_in_a_row = 0
         self._example = b""
         """The latest malformed line."""
-
-    @property
-    def name(self) -> str:
-        """The port."""
-        return self.config.port or f"{self.config.address} on UDP port {self.config.udp_port}"
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """The port of this computer."""
-        return "lines", self.config.port or self.config.udp_port
 
     @property
     def trouble(self) -> str | None:
@@ -105,7 +101,7 @@ class LineSource:
             others = " and ".join(self._senders)
             return f"records come only from {others}; check address and udp_port"
         problem = f"no line within {FIRST_WAIT_S:g} s"
-        if self.malformed:
+        if self.counted["malformed"]:
             problem = f"no line with columns {', '.join(self.config.columns)}, e.g. "
             problem += self._shown_example()
         return f"{problem}; {self.remedy}, and columns, separator and baud in the rig's file"
@@ -137,19 +133,6 @@ class LineSource:
             )
         return lines
 
-    def notes(self) -> tuple[str, ...]:
-        """Return no notes."""
-        return ()
-
-    def counters(self) -> dict[str, int]:
-        """Return the counters since `open`."""
-        return {
-            "sensor_records": self.records,
-            "sensor_lost": self.lost,
-            "sensor_late": self.late,
-            "sensor_malformed": self.malformed,
-        }
-
     def close(self) -> None:
         """Close the port; may be called repeatedly and never raises."""
         if self._reader is not None:
@@ -163,9 +146,9 @@ class LineSource:
             self._senders = [*self._senders, line.source][:2]
         if not line.is_expected:
             return None
-        self.records += 1
+        self.counted["records"] += 1
         if record is None:
-            self.malformed += 1
+            self.counted["malformed"] += 1
             self._malformed_in_a_row += 1
             self._example = line.text
             if self.config.counter is None:
@@ -174,10 +157,10 @@ class LineSource:
         self._malformed_in_a_row = 0
         steps = self._counter.steps(record.number)
         if steps <= 0:
-            self.late += 1
+            self.counted["late"] += 1
             return None
         if self.config.counter is not None:
-            self.lost += steps - 1
+            self.counted["lost"] += steps - 1
             self._missing += steps - 1
         if self._count_s is not None:
             self._lag.take(self._counter.total * self._count_s, line.time)

@@ -27,6 +27,7 @@ from softfin.rig.ros2.connection import (
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
+    RecordSource,
     StreamedSensor,
     TimedWrench,
     queue_length,
@@ -46,13 +47,14 @@ def topic_sensor(config: TopicSensorConfig, clock: Computer = COMPUTER) -> Strea
     return StreamedSensor(config, TopicSource(config, clock), clock)
 
 
-class TopicSource:
+class TopicSource(RecordSource):
     """The messages on one topic."""
 
     unit = "message"
     remedy = "check its driver and the network"
 
     def __init__(self, config: TopicSensorConfig, clock: Computer) -> None:
+        super().__init__(config.topic, "ros2", config.connection.domain, config.topic)
         self.config = config
         self.clock = clock
         self._transport: Transport | None = None
@@ -60,7 +62,7 @@ class TopicSource:
         self._reset()
 
     def _reset(self) -> None:
-        self.lost = 0
+        self.counted.clear()
         self._loss = LossEstimate(self.config.rate_hz)
         self._newest: float | None = None
         """Time of the latest message [s]."""
@@ -69,22 +71,6 @@ class TopicSource:
         self._delay_s = math.inf
         """Shortest time so far between a message's stamp and its processing [s], if both clocks
         agree."""
-        self._counters: dict[str, int] = {}
-
-    @property
-    def name(self) -> str:
-        """The topic."""
-        return self.config.topic
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """The domain and the topic."""
-        return "ros2", self.config.connection.domain, self.config.topic
-
-    @property
-    def trouble(self) -> None:
-        """None: a publisher may come back."""
-        return None
 
     def open(self) -> None:
         """Subscribe to the topic; raises RigError or DeviceError."""
@@ -110,10 +96,10 @@ class TopicSource:
             self._unusable_in_a_row = 0
         else:
             self._unusable_in_a_row += messages.refused + messages.not_newer - unusable
+        self.counted["records"] = messages.received
+        self.counted["late"] = messages.not_newer
+        self.counted["malformed"] = messages.refused
         return records
-
-    def watch(self, rate_hz: float) -> None:
-        """Do nothing: a delayed message has an old stamp."""
 
     def describe(self) -> str:
         """Return the type of the messages and their frame."""
@@ -155,21 +141,8 @@ class TopicSource:
         """Return the notes on the connection."""
         return () if self._transport is None else self._transport.notes
 
-    def counters(self) -> dict[str, int]:
-        """Return the counters since `open`; after `close`, the final ones."""
-        messages = self._messages
-        if messages is not None:
-            self._counters = {
-                "sensor_records": messages.received,
-                "sensor_lost": self.lost,
-                "sensor_late": messages.not_newer,
-                "sensor_malformed": messages.refused,
-            }
-        return self._counters
-
     def close(self) -> None:
         """Leave the topic; may be called repeatedly and never raises."""
-        self.counters()
         # Readers are closed with their last reference.
         self._messages = None
         if self._transport is not None:
@@ -202,5 +175,5 @@ class TopicSource:
         if self._newest is not None:
             missing = self._loss.missing(time - self._newest)
         self._newest = time
-        self.lost += missing
+        self.counted["lost"] += missing
         return TimedWrench(np.array(wrench), missing, time)
