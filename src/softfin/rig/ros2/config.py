@@ -39,7 +39,7 @@ class TransportConfig(Configuration):
     """How to reach other nodes."""
 
     transport: TransportName = "auto"
-    """auto: rclpy if it is installed, otherwise DDS."""
+    """rclpy needs ROS 2, dds does not; auto: rclpy if it is installed."""
     # RTPS uses the UDP ports from 7400 + 250 * domain, so 232 is the largest domain.
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain (default: the environment variable ROS_DOMAIN_ID, or 0)."""
