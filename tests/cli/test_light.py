@@ -44,7 +44,7 @@ SLIPS: list[tuple[list[str], str]] = [
         ["example", "full"],
         "full: already exists; choose another folder, or use --overwrite to replace it",
     ),
-    (["example"], "FOLDER"),
+    (["example"], "--folder requires"),
     (
         ["inspect", "nowhere"],
         "nowhere: no such file or folder; use a CSV file, a Parquet file, a ROS 2 bag",

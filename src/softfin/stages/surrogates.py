@@ -45,7 +45,6 @@ SHOWN_TEST_S = 8
 @lock_output
 def fit(
     dataset: Annotated[PathLike, LOGS],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
@@ -256,7 +255,6 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
 @lock_output
 def calibrate(
     data: Annotated[PathLike | PlantLike, DATA],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     preset: CalibratePreset = "full",
