@@ -15,7 +15,8 @@ from softfin.emulation.lines import emulated_lines
 from softfin.emulation.topic import emulated_topic
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
-from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.device import DriveConfig, ForceSensorConfig
+from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.rig.devices.registry import find_device
 
 EMULATED_RATE_HZ = 320.0

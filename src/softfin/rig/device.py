@@ -2,16 +2,15 @@
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
 `softfin.devices`. It consists of a configuration and a class that implements `Drive` or
-`ForceSensor`; `DriveType` or `ForceSensorType` names both. `softfin.testing.check_drive` and
-`check_force_sensor` test an implementation.
+`ForceSensor`; `DriveType` or `ForceSensorType` of `softfin.rig.device_type` names both.
+`softfin.testing.check_drive` and `check_force_sensor` test an implementation.
 
 All times are from the `clock` that the device is given [s]. All calls come from one thread at a
 time, except that any thread may call `Drive.stop`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Literal, NamedTuple, Protocol
 
 from pydantic import Field, model_validator
 
@@ -21,8 +20,6 @@ from softfin.core.errors import SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.bus import BusConfig
-from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
@@ -359,27 +356,3 @@ class ForceSensor(Protocol):
 
     def close(self) -> None:
         """Disconnect; may be called repeatedly and never raises."""
-
-
-Settings = TypeVar("Settings", bound=DeviceConfig)
-
-
-@dataclass(frozen=True)
-class DriveType(Generic[Settings]):
-    """A type of drive."""
-
-    config: type[Settings]
-    """Class of its configuration."""
-    make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
-    at once when the drive reports a fault, from any thread."""
-
-
-@dataclass(frozen=True)
-class ForceSensorType(Generic[Settings]):
-    """A type of force sensor."""
-
-    config: type[Settings]
-    """Class of its configuration."""
-    make: Callable[[Settings, Computer], ForceSensor]
-    """Makes a sensor from its configuration and the computer."""
