@@ -6,7 +6,8 @@ from typing import Generic, TypeVar
 
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
-from softfin.rig.device import DeviceConfig, Drive, ForceSensor
+from softfin.rig.device import DeviceConfig, Drive
+from softfin.rig.streamed_sensor import StreamedSensor
 
 Settings = TypeVar("Settings", bound=DeviceConfig)
 
@@ -28,5 +29,5 @@ class ForceSensorType(Generic[Settings]):
 
     config: type[Settings]
     """Class of its configuration."""
-    make: Callable[[Settings, Computer], ForceSensor]
+    make: Callable[[Settings, Computer], StreamedSensor]
     """Makes a sensor from its configuration and the computer."""
