@@ -32,12 +32,6 @@ class EmulatedDevice(Protocol):
     def description(self) -> str:
         """Describe the address for the operator."""
 
-    def remembered(self) -> JsonObject:
-        """Return the state that a power loss would erase, for JSON."""
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue as if the supply had never been off."""
-
     def close(self) -> None:
         """Stop; may be called repeatedly."""
 

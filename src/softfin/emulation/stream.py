@@ -68,13 +68,6 @@ class EmulatedStream:
         """Describe the address for the operator."""
         return self.link.description()
 
-    def remembered(self) -> JsonObject:
-        """Return nothing: softfin keeps the zero."""
-        return {}
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue; there is nothing to recall."""
-
     def silence(self, seconds: float = float("inf")) -> None:
         """Send nothing for a time [s]; 0 ends the silence."""
         self._silent_until = self._clock() + seconds
