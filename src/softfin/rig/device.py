@@ -278,9 +278,6 @@ class Drive(Protocol):
     def current_limits(self) -> CurrentLimits:
         """Return the open drive's own limits for the motor's current."""
 
-    def own_stop(self) -> str:
-        """Describe the open drive's setting for a missing host, for `softfin rig check`."""
-
     def complaints(self) -> tuple[str, ...]:
         """Return one line per fault as of the latest read, ending with its fix."""
 

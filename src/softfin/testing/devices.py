@@ -66,7 +66,6 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
             if not list(drive.checks()):
                 _fail(drive, "checks yields nothing", "the first line must describe the drive")
             drive.current_limits()
-            drive.own_stop()
             _check_refusal(drive, "before it was enabled")
             drive.zero()
             if abs(drive.read_angle()) > AT_REST_RAD and drive.config.zero_needed:
