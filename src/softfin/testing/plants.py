@@ -172,7 +172,7 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
 
 
 def _gradient(plant: Plant) -> Iterator[Problem]:
-    def mean_force(angle: Array) -> Any:
+    def mean_force(angle: Array) -> Array:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
