@@ -115,11 +115,6 @@ class EmulatedAxia80:
         """Return its address and ports, as in a rig's file."""
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
 
-    def description(self) -> str:
-        """Return its address and ports."""
-        pages = f"pages at http://{LOOPBACK}:{self.http_port}"
-        return f"{LOOPBACK}, RDT port {self.rdt_port}, {pages}"
-
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for a time [s]; 0 ends the silence."""
         self._silent_until = self._clock() + seconds

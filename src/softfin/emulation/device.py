@@ -29,8 +29,8 @@ class Emulator(NamedTuple):
     """How to emulate a type of device.
 
     Emulators run from construction until `close`. `address()` returns the fields of the device's
-    configuration that lead to it, and `description()` its address for the operator. `remembered()`
-    of a drive returns the state that a power loss would erase, and `recall` restores it.
+    configuration that lead to it. `remembered()` of a drive returns the state that a power loss
+    would erase, and `recall` restores it.
     """
 
     values: JsonObject

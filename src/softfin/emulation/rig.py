@@ -88,10 +88,14 @@ class EmulatedRig(contextlib.ExitStack):
 
     def description(self) -> str:
         """Return a description of the rig's addresses."""
-        place = "in this process, " if self.clock.is_simulated else ""
+        place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
-            place = f"socketcand {HOST}:{self.server.port}, "
-        return f"drive: {place}{self.drive.description()}; sensor: {self.sensor.description()}"
+            place = f"socketcand {HOST}:{self.server.port}"
+        drive, sensor = (
+            ", ".join(f"{name} {value}" for name, value in device.address().items() if value)
+            for device in (self.drive, self.sensor)
+        )
+        return f"drive: {place}{drive}; sensor: {sensor}"
 
     def values(self, **changes: object) -> JsonObject:
         """Return the contents of the rig's file, with `changes`."""

@@ -149,10 +149,6 @@ class EmulatedDrive:
         """Return nothing: the drive is on the rig's bus, under the number in its configuration."""
         return {}
 
-    def description(self) -> str:
-        """Return its number on the bus."""
-        return f"node {self._config.node}"
-
     def remembered(self) -> JsonObject:
         """Return the state that a power loss would erase (the zero), for JSON."""
         return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
