@@ -76,7 +76,7 @@ def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
 
 
 def test_a_serial_port_that_may_not_be_used_is_a_note(tmp_path, monkeypatch):
-    monkeypatch.setattr(doctor, "DEVICES", tmp_path)
+    monkeypatch.setattr(doctor, "DEVICE_FOLDER", tmp_path)
     assert results()["serial ports"].text.startswith("none on USB")
     (tmp_path / "ttyUSB0").touch()
     assert results()["serial ports"] == CheckResult(

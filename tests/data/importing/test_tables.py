@@ -269,14 +269,6 @@ def test_one_torque_of_two_is_not_read(tmp_path, columns):
     assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
 
 
-def test_a_torque_whose_other_axis_is_empty_is_not_read(tmp_path, columns):
-    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": [None] * 6000}
-    write_csv(tmp_path / "run.csv", table)
-    (recording,) = read(tmp_path / "run.csv", columns="torque_x=torque_x_nm,torque_y=torque_y_nm")
-    assert means(recording) == {}
-    assert "'torque_x_nm'" in recording.issues[0].message
-
-
 def test_current_and_torque_are_read_only_with_a_unit_and_a_column_of_text_is_no_channel(
     tmp_path, columns
 ):
