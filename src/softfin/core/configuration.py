@@ -83,7 +83,7 @@ class Changes(NamedTuple):
 
 
 Settings: TypeAlias = Configuration | Changes | Mapping[str, Any] | Path | str | None
-"""What a stage accepts as its configuration: a complete one, or changes of the default."""
+"""Configuration that a stage accepts: a complete one, or changes of the default."""
 
 
 def configure(base: Config, given: Settings, **options: object) -> Config:

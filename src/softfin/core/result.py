@@ -1,4 +1,4 @@
-"""What a stage returns: a mapping for programs, and a text for people."""
+"""Result of a stage: a mapping for programs, and a text for people."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +10,7 @@ class Result(dict[str, Any]):
     def __init__(self, values: Mapping[str, Any], text: str) -> None:
         super().__init__(values)
         self.text = text
-        """What the command prints."""
+        """Text that the command prints."""
 
     def __str__(self) -> str:
         return self.text
