@@ -1,17 +1,30 @@
 """What `softfin doctor` says of this computer, and of one that is arranged for the test."""
 
+import contextlib
 import sys
 from pathlib import Path
 
 import pytest
 
 from softfin import doctor
+from softfin.core.errors import RunError
 from softfin.installation import EXTRAS
 from softfin.rig.device import CheckResult
 
 
 def results() -> dict[str, CheckResult]:
-    return {result.what: result for result in doctor.doctor()}
+    """Every result; a check that failed is an error after the last one."""
+    given = {}
+    with contextlib.suppress(RunError):
+        for result in doctor.doctor():
+            given[result.what] = result
+    return given
+
+
+def test_a_check_that_failed_is_an_error_after_the_last_one(monkeypatch):
+    monkeypatch.setattr(doctor, "extra_requirements", lambda extra: ["no-such-thing"])
+    with pytest.raises(RunError, match="failed: packages"):
+        list(doctor.doctor())
 
 
 @pytest.fixture
@@ -76,7 +89,7 @@ def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
 
 
 def test_a_serial_port_that_may_not_be_used_is_a_note(tmp_path, monkeypatch):
-    monkeypatch.setattr(doctor, "DEVICES", tmp_path)
+    monkeypatch.setattr(doctor, "PORTS_FOLDER", tmp_path)
     assert results()["serial ports"].text.startswith("none on USB")
     (tmp_path / "ttyUSB0").touch()
     assert results()["serial ports"] == CheckResult(

@@ -154,7 +154,8 @@ def test_evaluation(tmp_path: Path) -> None:
 
 
 def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--json"])
+    out = str(tmp_path / "saved.mcap")
+    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--out", out, "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
     softfin.import_logs(GOLDEN / "session.mcap", out=tmp_path / "dataset", ignore_errors=True)
     dataset = softfin.Dataset.open(tmp_path / "dataset")

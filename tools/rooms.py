@@ -62,7 +62,7 @@ def main(path: Path) -> None:
         )
         axes.set(xlim=(-0.8, 10), ylim=(0, len(rows)))
         axes.set_axis_off()
-    save_figure(figure, path.parent, path.stem, ("png",))
+    save_figure(figure, path)
 
 
 if __name__ == "__main__":

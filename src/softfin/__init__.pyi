@@ -6,7 +6,6 @@ from .core.quantities import Log as Log
 from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
-from .doctor import doctor as doctor
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID

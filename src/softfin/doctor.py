@@ -23,7 +23,7 @@ INTERFACES = Path("/sys/class/net")
 CAN_TYPE = "280"
 """Type number of a CAN interface (Linux's ARPHRD_CAN)."""
 
-DEVICES = Path("/dev")
+PORTS_FOLDER = Path("/dev")
 """Folder of the serial ports."""
 
 SERIAL_PORTS = ("ttyUSB*", "ttyACM*", "cu.usb*")
@@ -118,7 +118,7 @@ def _can() -> CheckResult:
 
 
 def _serial_ports() -> CheckResult:
-    ports = sorted(path for name in SERIAL_PORTS for path in DEVICES.glob(name))
+    ports = sorted(path for name in SERIAL_PORTS for path in PORTS_FOLDER.glob(name))
     if not ports:
         return CheckResult("serial ports", "note", "none on USB; a Dynamixel needs one")
     text = ", ".join(map(str, ports))

@@ -77,6 +77,7 @@ def test_other_options_are_fields_of_the_configuration(tmp_path):
     assert call.args == ("here",)
     assert call.keywords["config"][:2] == (None, fields)
     file = tmp_path / "config.yaml"
+    file.touch()
     assert parse(work, ["--config", str(file)]).keywords["config"] == Changes(
         file, {}, list_options(work)
     )

@@ -44,7 +44,7 @@ SLIPS: list[tuple[list[str], str]] = [
         ["example", "full"],
         "full: already exists; choose another folder, or use --overwrite to replace it",
     ),
-    (["example"], "DIR"),
+    (["example"], "--folder requires"),
     (
         ["inspect", "nowhere"],
         "nowhere: no such file or folder; use a CSV file, a Parquet file, a ROS 2 bag",
@@ -81,7 +81,6 @@ SLIPS: list[tuple[list[str], str]] = [
         "--bag a.txt: must end in .mcap",
     ),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
-    (["doctor", "--rig", "no.yaml"], "no.yaml: cannot be read"),
     (["monitor", "no.mcap"], "no.mcap: no such file or folder; use a bag"),
 ]
 

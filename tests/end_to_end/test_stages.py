@@ -82,7 +82,8 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
         rows = results[part][kind]["references"]
         assert len(rows) == 6
         for row, axis in product(rows, ("x", "y")):
-            assert len(row[axis]["error_seeds_n"]) == 2
+            # Gaits are not trained from seeds: only a plant with noise has repetitions.
+            assert kind == "gaits" or len(row[axis]["error_seeds_n"]) == 2
             assert row[axis]["error_interval_n"] is None
     assert [stage["stage"] for stage in results["stages"]][:7] == [
         "collect",

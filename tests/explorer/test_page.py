@@ -92,7 +92,7 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path
     out = tmp_path / "explore.html"
     with pytest.raises(ConfigurationError, match="gaits: contains duplicates; name each once"):
         explore(folder / "gaits", folder / "gaits", out=out)
-    with pytest.raises(ConfigurationError, match="plants: none given; name at least one"):
+    with pytest.raises(ConfigurationError, match="plant: none given; name at least one"):
         explore(folder / "gaits", out=out, plant=())
     with pytest.raises(PlantError, match="cannot run in the page"):
         explore(folder / "gaits", out=out, plant=("tests.plants:AnalyticFin",))
@@ -107,7 +107,9 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path
 
 def test_two_controllers_of_one_kind_are_told_apart_by_their_folders(folder, tmp_path):
     gaits(tmp_path / "mine")
-    names = explore([folder / "gaits", tmp_path / "mine"], tmp_path / "explore.html")["controllers"]
+    names = explore(folder / "gaits", tmp_path / "mine", out=tmp_path / "explore.html")[
+        "controllers"
+    ]
     assert names == [f"gaits ({folder / 'gaits'})", f"gaits ({tmp_path / 'mine'})"]
 
 

@@ -62,8 +62,9 @@ def test_a_tank_moves_as_in_double_precision_and_nearly_as_in_single(config):
     commands = small.commands(500, seed=2)
     page = moved(tank_data(tank), commands)
     np.testing.assert_allclose(page[:, :4], fins.roll_tank(tank, commands, double=True), atol=1e-9)
+    # The rounding of single precision depends on how XLA divides a program.
     np.testing.assert_allclose(
-        page[:, 2:4], fins.roll_tank(tank, commands, double=False)[:, 2:4], atol=1e-3
+        page[:, 2:4], fins.roll_tank(tank, commands, double=False)[:, 2:4], atol=2e-3
     )
     assert np.abs(page[:, 2:4]).max() > 2
 

@@ -144,7 +144,7 @@ def test_a_zero_set_in_the_sensor_that_was_since_lost_is_refused_and_leaves_noth
 def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind, config = bench
     zero_force(Rig(config, behind.clock), 0.2)
-    behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
+    behind.sensor.pages.update(sensor_pages(serial="FT31415"))
     with pytest.raises(
         RigError,
         match=r"settings have changed since its zero was set \(serial was 'FT00000' and is 'FT31415'",
@@ -202,7 +202,7 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
     assert (state, text.split(";")[0]) == ("note", "never set by softfin")
     zero_force(Rig(config, behind.clock), 0.2)
     assert finding()[0] == "well"
-    behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
+    behind.sensor.pages.update(sensor_pages(serial="FT31415"))
     assert finding()[0] == "wrong"
 
 

@@ -132,7 +132,7 @@ def test_notes_are_told_before_anything_moves(capsys):
     [
         (
             {"safety": {"force_stale_s": 0.04}},
-            r"safety.force_stale_s = 0.04: the force filter alone delays by 0.034 s",
+            r"safety.force_stale_s = 0.04: .* the force may be older; use 0.13 or more",
         ),
         (
             {"safety": {"velocity_rad_s": 2.0}},

@@ -61,7 +61,6 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
             "test-000.mcap",
             "train-0000.mcap",
             "train-0000.parquet",
-            "train-0000.sensor.json",
         ]
         assert events_of(bags / "test-000.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
         first = (bags / "train-0000.parquet").read_bytes()
@@ -326,16 +325,6 @@ def test_the_allowed_drift_follows_the_peak_force_of_the_fin(tmp_path, strength,
         pull(behind.fin, 0.0, drift_n)
         two_logs(robot, tmp_path / "data", resume=True, warn=warnings.append)
     assert [re.search(r"limit [\d.]+ N", warning)[0] for warning in warnings] == limits
-
-
-def test_a_log_of_an_earlier_version_has_the_drift_limit_of_the_papers_fin(tmp_path):
-    with emulated() as (_, robot):
-        stopped_in_the_second_log(robot, tmp_path / "data")
-        (state,) = find_bags(tmp_path / "data").glob("*.sensor.json")
-        before = json.loads(state.read_text())
-        del before["force_peak_n"]
-        state.write_text(json.dumps(before))
-        assert len(two_logs(robot, tmp_path / "data", resume=True).train) == 2
 
 
 def test_the_progress_has_more_decimals_for_a_small_fin(tmp_path):

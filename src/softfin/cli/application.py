@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from rich import box
 from rich.console import Console
 
-from softfin.core.configuration import Changes, option_name
+from softfin.core.configuration import Changes, option_name, read_yaml
 from softfin.core.errors import ConfigurationError
 
 CONFIG = "config"
@@ -90,8 +90,12 @@ def parse(function: Callable[..., object], words: Sequence[str]) -> "partial[obj
         raise ConfigurationError(_explain(error)) from None
     given = dict(bound.kwargs)
     if changes or CONFIG in given:
-        file = given.get(CONFIG)
-        given[CONFIG] = Changes(None if file is None else Path(file), changes, options)
+        file = None
+        if CONFIG in given:
+            file = Path(given[CONFIG])
+            # Reported now, because the function first imports what it configures.
+            read_yaml(file)
+        given[CONFIG] = Changes(file, changes, options)
     return partial(function, *bound.args, **given)
 
 

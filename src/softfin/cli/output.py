@@ -1,4 +1,4 @@
-"""Output of commands: results on standard output, progress on standard error."""
+"""Prints what commands return: results on standard output, progress on standard error."""
 
 import sys
 import threading

@@ -172,7 +172,7 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     before = type(controller.step.init())(**state)
     after, action = controller.step.act(OnnxOperations(), before, now)
     outputs = {}
-    command = action_to_command(limits, action)
+    command: Any = action_to_command(limits, action)
     for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
         outputs[name] = ndonnx.clip(cast(Any, value), *map(float, _round_inwards(low, high)))
     for name, value in after._asdict().items():

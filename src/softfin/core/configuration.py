@@ -66,7 +66,8 @@ class Changes(NamedTuple):
             path = option.removeprefix("--").replace("-", "_").split(".")
             if path[0] not in type(base).model_fields:
                 names = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
-                close = difflib.get_close_matches(option, [*self.options, *names], n=1)
+                written = f"--{path[0].replace('_', '-')}"
+                close = difflib.get_close_matches(written, [*self.options, *names], n=1)
                 nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
                 raise ConfigurationError(f"{option}: unknown option; {nearest}")
             try:

@@ -6,7 +6,7 @@ tuple is a repeatable option.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 from cyclopts import Parameter, Token
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     PlantLike: TypeAlias = str | Plant
 else:
-    # A plant needs JAX, which a command's help must not wait for; only names can be typed.
-    PlantLike = str
-    Settings = str
+    # A plant needs JAX, which a command's help must not wait for; what is typed is text.
+    PlantLike = Any
+    Settings = Any
 
 PathLike: TypeAlias = str | Path
 """A file or a folder."""

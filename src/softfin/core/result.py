@@ -1,4 +1,4 @@
-"""Result of a stage: a mapping for programs, and a text for people."""
+"""Results of stages: a mapping for programs, and a text for people."""
 
 from collections.abc import Mapping
 from typing import Any

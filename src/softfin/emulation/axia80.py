@@ -20,7 +20,7 @@ from softfin.core.json_object import JsonObject
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.fin import EmulatedFin
 from softfin.rig.computer import COMPUTER, Computer
-from softfin.rig.devices.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
+from softfin.rig.devices.axia80.pages import CALIBRATION, SETTINGS
 from softfin.rig.devices.axia80.rdt import (
     BUSY,
     OVER_RANGE,
@@ -31,7 +31,10 @@ from softfin.rig.devices.axia80.rdt import (
 )
 from softfin.rig.machine import rotated, rotation
 
-RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
+COUNTS = 1e6
+"""Counts per unit of force [N] and torque [N m]."""
+
+LIMITS = np.array((500.0, 500.0, 900.0, 20.0, 20.0, 20.0))
 """Measuring range of the M20 [N, N m], not verified; loads beyond it are flagged and clipped."""
 
 ADC_RATE_HZ = 7812.0
@@ -60,13 +63,10 @@ class EmulatedAxia80:
         http_port: int = 0,
         rate_hz: float = 1000.0,
         frame: str = "x,y",
-        units: tuple[str, str] = ("N", "N-m"),
-        counts: tuple[float, float] = (1e6, 1e6),
         clock: Computer = COMPUTER,
     ) -> None:
-        """`units` are those of force and torque, and `counts` the counts per unit of each."""
         self.rate_hz = rate_hz
-        self.pages = sensor_pages(units, counts)
+        self.pages = sensor_pages()
         """Web pages, by path; may be changed at any time."""
         self.status = 0
         """Status of every record; tests may set its bits."""
@@ -78,8 +78,6 @@ class EmulatedAxia80:
         following attributes."""
         self.are_values_frozen = False
         """Whether all six channels are frozen while records continue."""
-        self.drift_n_s = 0.0
-        """Drift of the zero since power-up, for each axis of the force [N/s]."""
         self.filter_delay_s = 0.0
         """Delay of the sensor's internal low-pass filter [s], which is not visible in its
         records."""
@@ -87,12 +85,6 @@ class EmulatedAxia80:
         self._clock = clock
         # The inverse of the client's rotation: from softfin's axes to the sensor's.
         self._rotation = rotation(frame).T
-        self._scale = np.repeat(
-            [counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3
-        )
-        # Counts are 32-bit integers, and the noise adds up to 1 count.
-        self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
-        self._bias = np.zeros(6)
         self._powered_at = clock()
         self._counts = (0, 0, 0, 0, 0, 0)
         self._silent_until = 0.0
@@ -128,28 +120,15 @@ class EmulatedAxia80:
         pages = f"pages at http://{LOOPBACK}:{self.http_port}"
         return f"{LOOPBACK}, RDT port {self.rdt_port}, {pages}"
 
-    def remembered(self) -> JsonObject:
-        """Return the state that a power loss would erase, for JSON: the zero in the sensor's axes
-        [N, N m] and the sample counter."""
-        with self._lock:
-            return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue as if the supply had never been off."""
-        with self._lock:
-            self._bias = np.array(remembered["bias"], float)
-            self._powered_at = self._clock() - int(remembered["samples"]) / ADC_RATE_HZ
-
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for a time [s]; 0 ends the silence."""
         self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
-        """Switch off and on: silent for a time [s], then without client and zero, and with a new
-        sample counter."""
+        """Switch off and on: silent for a time [s], then without client, and with a new sample
+        counter."""
         with self._lock:
             self._stream = None
-            self._bias = np.zeros(6)
             self._powered_at = self._clock() + seconds
             self.silence(seconds)
 
@@ -168,9 +147,7 @@ class EmulatedAxia80:
                 with self._lock:
                     if request is not None and self._clock() >= self._silent_until:
                         command, wanted = request
-                        if command is RdtCommand.BIAS:
-                            self._bias = self._felt(self._clock())
-                        elif command is RdtCommand.STOP:
+                        if command is RdtCommand.STOP:
                             # From any client: there is only one stream, to the latest client.
                             self._stream = None
                         else:
@@ -191,10 +168,10 @@ class EmulatedAxia80:
             due = min(due, stream.wanted - stream.sent)
         if due <= 0:
             return []
-        exact = (self._felt(now) - self._bias) * self._scale
-        clipped = np.rint(np.clip(exact, -self._limits, self._limits)).astype(int)
+        load = self._felt(now)
+        clipped = np.rint(COUNTS * np.clip(load, -LIMITS, LIMITS)).astype(int)
         status = self.status
-        if (np.abs(exact) > self._limits).any():
+        if (np.abs(load) > LIMITS).any():
             status |= OVER_RANGE
         if now - self._powered_at < self.busy_s:
             status |= BUSY
@@ -214,13 +191,11 @@ class EmulatedAxia80:
         return max(0, int((time - self._powered_at) * ADC_RATE_HZ))
 
     def _felt(self, now: float) -> np.ndarray:
-        """Return the filtered load in the sensor's axes, including the drift of its zero."""
+        """Return the filtered load in the sensor's axes [N, N m]."""
         self._history.append((now, np.array(rotated(self._fin.now().wrench, self._rotation))))
         while len(self._history) > 1 and self._history[1][0] <= now - self.filter_delay_s:
             self._history.popleft()
-        drift = self.drift_n_s * (now - self._powered_at)
-        load: np.ndarray = self._history[0][1] + np.repeat([drift, 0.0], 3)
-        return load
+        return self._history[0][1]
 
 
 @dataclass
@@ -233,16 +208,15 @@ class _Stream:
 
 
 def sensor_pages(
-    units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000"
+    force_unit: str = "N", torque_unit: str = "N-m", serial: str = "FT00000"
 ) -> dict[str, bytes]:
-    """Return the two pages read by clients, by path, in the format of the real ones; `units` and
-    `counts` are those of force and torque."""
+    """Return the two pages read by clients, by path, in the format of the real ones."""
     settings = {
         "prodname": "Emulated Axia80-M20",
-        "scfgfu": units[0],
-        "scfgtu": units[1],
-        "cfgcpf": f"{counts[0]:.10g}",
-        "cfgcpt": f"{counts[1]:.10g}",
+        "scfgfu": force_unit,
+        "scfgtu": torque_unit,
+        "cfgcpf": f"{COUNTS:.10g}",
+        "cfgcpt": f"{COUNTS:.10g}",
     }
     return {
         SETTINGS: _xml("netft", settings),

@@ -11,11 +11,12 @@ from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.emulation.lines import emulated_lines
-from softfin.emulation.topic import emulated_topic
+from softfin.emulation.lines import EmulatedLines
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
-from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.device import DriveConfig, ForceSensorConfig
+from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.rig.devices.registry import find_device
 
 EMULATED_RATE_HZ = 320.0
@@ -30,12 +31,6 @@ class EmulatedDevice(Protocol):
 
     def description(self) -> str:
         """Describe the address for the operator."""
-
-    def remembered(self) -> JsonObject:
-        """Return the state that a power loss would erase, for JSON."""
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue as if the supply had never been off."""
 
     def close(self) -> None:
         """Stop; may be called repeatedly."""
@@ -68,13 +63,13 @@ def _start_axia80(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDev
 
 def _start_lines(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
     udp_port = config.udp_port if clock.is_simulated else None
-    return emulated_lines(fin, config.rate_hz, clock, udp_port=udp_port)
+    return EmulatedLines(fin, config.rate_hz, clock, udp_port=udp_port)
 
 
 def _start_topic(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
     # In real time, several emulated rigs may share this computer.
     topic = config.topic if clock.is_simulated else None
-    return emulated_topic(fin, config.rate_hz, clock, topic=topic)
+    return EmulatedTopic(fin, config.rate_hz, clock, topic=topic)
 
 
 DRIVES = {

@@ -11,18 +11,17 @@ from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.machine import Wrench
 
 
-def emulated_lines(
-    fin: EmulatedFin, rate_hz: float, clock: Computer = COMPUTER, udp_port: int | None = 0
-) -> EmulatedStream:
-    """Return a sensor that sends to `udp_port`, to a free port if it is 0, and over a
+class EmulatedLines(EmulatedStream[bytes]):
+    """Emulated sensor that sends to `udp_port`, to a free port if it is 0, and over a
     pseudo-terminal if it is None."""
-    return EmulatedStream(LineLink(clock, udp_port), fin, rate_hz, clock)
 
-
-class LineLink:
-    """Lines over UDP or a pseudo-terminal."""
-
-    def __init__(self, clock: Computer, udp_port: int | None) -> None:
+    def __init__(
+        self,
+        fin: EmulatedFin,
+        rate_hz: float,
+        clock: Computer = COMPUTER,
+        udp_port: int | None = 0,
+    ) -> None:
         self.count = 0
         """Latest counter; 0 after a restart of the sensor."""
         self._pty = None if udp_port is not None else Pty()
@@ -32,6 +31,7 @@ class LineLink:
         self._udp_port = int(self.socket.getsockname()[1])
         self.socket.close()
         self.socket = clock.udp_socket()
+        super().__init__(fin, rate_hz, clock)
 
     def address(self) -> JsonObject:
         """Return the port, as in a rig's file."""
@@ -55,8 +55,8 @@ class LineLink:
         else:
             self._pty.send(record)
 
-    def close(self) -> None:
-        """Unplug; may be called repeatedly."""
+    def unplug(self) -> None:
+        """Close the socket and the pseudo-terminal; may be called repeatedly."""
         self.socket.close()
         if self._pty is not None:
             self._pty.close()

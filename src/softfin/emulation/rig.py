@@ -145,8 +145,7 @@ def state_file(rig: Path) -> Path:
 class _KeptRig(EmulatedRig):
     """A rig in simulated time with a state file next to its file, for the next command.
 
-    The state consists of the fin's position, the motion of the water, the zeros of the drive and
-    the sensor, and the position in the noise sequence.
+    The state consists of the fin's position, the motion of the water and the drive's zero.
     """
 
     def __init__(self, config: RigConfig, file: Path) -> None:
@@ -171,7 +170,7 @@ class _KeptRig(EmulatedRig):
         self.callback(lock.release)
         self._state = state_file(file)
         self._emulation = config.emulation.model_dump(mode="json")
-        self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
+        self._parts = {"fin": self.fin, "drive": self.drive}
         try:
             if self._state.exists():
                 state = json.loads(self._state.read_bytes())

@@ -5,49 +5,31 @@ import os
 import select
 import threading
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
-from softfin.core.json_object import JsonObject
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.machine import Wrench, rotated, rotation
+
+Record = TypeVar("Record")
+"""What carries one wrench."""
 
 LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
 """Noise of each channel by the number of the record [N, N m]; small, so that tests can compare
 forces."""
 
 
-class Link(Protocol):
-    """Carrier of the records, and their format."""
-
-    def address(self) -> JsonObject:
-        """Return where the records arrive, as in a rig's file."""
-
-    def description(self) -> str:
-        """Describe the address for the operator."""
-
-    def encode(self, age_s: float, wrench: Wrench) -> Any:
-        """Return a record with a wrench in the sensor's axes [N, N m], as `transmit` gets it;
-        `age_s` is the time from the start of the sensor to the record [s]."""
-
-    def send(self, record: Any) -> None:
-        """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
-
-    def close(self) -> None:
-        """Unplug; may be called repeatedly."""
-
-
-class EmulatedStream:
+class EmulatedStream(ABC, Generic[Record]):
     """Emulated sensor, running from construction until `close`; faults may be set from any
     thread."""
 
-    def __init__(self, link: Link, fin: EmulatedFin, rate_hz: float, clock: Clock) -> None:
-        self.link = link
-        self.transmit: Callable[[Any], Iterable[Any]] = lambda record: (record,)
+    def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock) -> None:
+        self.transmit: Callable[[Record], Iterable[Record]] = lambda record: (record,)
         """Function that maps a record to those that arrive; tests may cut, double, lose, delay or
         change records."""
         self.rate_hz = rate_hz
@@ -60,20 +42,18 @@ class EmulatedStream:
         self._closing = clock.event()
         self._thread = clock.spawn(self._run, "emulated sensor")
 
-    def address(self) -> JsonObject:
-        """Return where the records arrive, as in a rig's file."""
-        return self.link.address()
+    @abstractmethod
+    def encode(self, age_s: float, wrench: Wrench) -> Record:
+        """Return a record with a wrench in the sensor's axes [N, N m]; `age_s` is the time from the
+        start of the sensor to the record [s]."""
 
-    def description(self) -> str:
-        """Describe the address for the operator."""
-        return self.link.description()
+    @abstractmethod
+    def send(self, record: Record) -> None:
+        """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
 
-    def remembered(self) -> JsonObject:
-        """Return nothing: softfin keeps the zero."""
-        return {}
-
-    def recall(self, remembered: JsonObject) -> None:
-        """Continue; there is nothing to recall."""
+    @abstractmethod
+    def unplug(self) -> None:
+        """Remove the connection; may be called repeatedly."""
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Send nothing for a time [s]; 0 ends the silence."""
@@ -83,7 +63,7 @@ class EmulatedStream:
         """Stop the sensor; may be called repeatedly."""
         self._closing.set()
         self._thread.join()
-        self.link.close()
+        self.unplug()
 
     def _run(self) -> None:
         for number in _iterate_due(self._clock, self._closing, lambda: self.rate_hz):
@@ -91,13 +71,13 @@ class EmulatedStream:
                 noise = LOAD_NOISE[number % len(LOAD_NOISE)]
                 load = rotated(self._fin.now().wrench, self._rotation) + noise
                 self._wrench = tuple(load.tolist())
-            record = self.link.encode((number + 1) / self.rate_hz, self._wrench)
+            record = self.encode((number + 1) / self.rate_hz, self._wrench)
             if self._clock() < self._silent_until:
                 continue
             for sent in self.transmit(record):
                 # A slow reader, or none, must not end the sensor.
                 with contextlib.suppress(OSError, DeviceError):
-                    self.link.send(sent)
+                    self.send(sent)
 
 
 def _iterate_due(

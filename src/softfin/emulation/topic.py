@@ -24,29 +24,24 @@ class EmulatedMessage(NamedTuple):
     """Frame in the header."""
 
 
-def emulated_topic(
-    fin: EmulatedFin,
-    rate_hz: float,
-    clock: Computer = COMPUTER,
-    connection: TransportConfig | None = None,
-    topic: str | None = None,
-) -> EmulatedStream:
-    """Return a driver on a topic, by default a new one, so that several emulators do not meet;
+class EmulatedTopic(EmulatedStream[EmulatedMessage]):
+    """Emulated driver on a topic, by default a new one, so that several emulators do not meet;
     `connection` is by DDS on this computer by default."""
-    topic = topic or f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
-    link = TopicLink(topic, connection or TransportConfig(transport="dds"), clock)
-    return EmulatedStream(link, fin, rate_hz, clock)
 
-
-class TopicLink:
-    """Messages on a topic."""
-
-    def __init__(self, topic: str, connection: TransportConfig, clock: Computer) -> None:
-        self.topic = topic
-        self._connection = connection
+    def __init__(
+        self,
+        fin: EmulatedFin,
+        rate_hz: float,
+        clock: Computer = COMPUTER,
+        connection: TransportConfig | None = None,
+        topic: str | None = None,
+    ) -> None:
+        self.topic = topic or f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
+        self._connection = connection or TransportConfig(transport="dds")
         self._started_s = clock.wall()
-        self._transport = clock.open_topics(connection)
-        self._publisher: Publisher | None = self._transport.publish(topic, WRENCH_STAMPED)
+        self._transport = clock.open_topics(self._connection)
+        self._publisher: Publisher | None = self._transport.publish(self.topic, WRENCH_STAMPED)
+        super().__init__(fin, rate_hz, clock)
 
     def address(self) -> JsonObject:
         """Return the topic and how to reach it, as in a rig's file."""
@@ -70,7 +65,7 @@ class TopicLink:
         if publisher is not None:
             publisher.send(cdr(WRENCH_STAMPED, record.stamp_ns, record.wrench, record.frame_id))
 
-    def close(self) -> None:
+    def unplug(self) -> None:
         """Remove the publisher, as when the driver ends; may be called repeatedly."""
         # A writer is closed with its last reference.
         self._publisher = None

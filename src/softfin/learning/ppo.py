@@ -61,9 +61,7 @@ class PPOConfig(Configuration):
     clip_ratio: PositiveFloat = 0.2
     """Clipping range epsilon of the probability ratio."""
     entropy_coef: NonNegativeFloat = 0.0
-    """Initial weight of the entropy [1/nat]."""
-    final_entropy_coef: float = Field(default=0.0, ge=0, le=1)
-    """Final weight of the entropy as a fraction of the initial one (linear decay)."""
+    """Initial weight of the entropy [1/nat]; it decays linearly to 0."""
     averaging: NonNegativeFloat = 2.0
     """Approximate number of updates over which the evaluated policy is averaged; 0 to evaluate the
     newest policy."""
@@ -98,9 +96,7 @@ class PPOConfig(Configuration):
 
     def entropy_coefs(self, updates: int) -> optax.Schedule:
         """Return the schedule of the entropy's weight over the updates of a run."""
-        return optax.linear_schedule(
-            self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates
-        )
+        return optax.linear_schedule(self.entropy_coef, 0.0, updates)
 
 
 class Batch(NamedTuple):

@@ -10,7 +10,8 @@ from softfin.core.configuration import Chosen, Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.rig.bus import BusConfig
-from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.rig.device import DriveConfig, ForceSensorConfig
+from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.rig.devices.registry import choose_config
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig

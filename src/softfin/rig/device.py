@@ -1,28 +1,26 @@
-"""Interfaces of a rig's devices: what softfin needs from a drive and from a force sensor.
+"""What softfin needs from a rig's devices: their configurations and readings, and the interface of
+a drive.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
-`softfin.devices`. It consists of a configuration and a class that implements `Drive` or
-`ForceSensor`; `DriveType` or `ForceSensorType` names both. `softfin.testing.check_drive` and
-`check_force_sensor` test an implementation.
+`softfin.devices`. It consists of a configuration and a class that implements `Drive`, or
+`softfin.rig.streamed_sensor.RecordSource` for a force sensor; `DriveType` or `ForceSensorType` of
+`softfin.rig.device_type` names both. `softfin.testing.check_drive` and `check_force_sensor` test an
+implementation.
 
 All times are from the `clock` that the device is given [s]. All calls come from one thread at a
 time, except that any thread may call `Drive.stop`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Literal, NamedTuple, Protocol
 
 from pydantic import Field, model_validator
 
-from softfin.core.clock import Clock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
-from softfin.rig.bus import BusConfig
-from softfin.rig.computer import Computer
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
@@ -288,98 +286,3 @@ class Drive(Protocol):
 
     def counters(self) -> dict[str, int]:
         """Return the counters since `open`, by name."""
-
-
-class ForceSensor(Protocol):
-    """A sensor of the fin's force on its mount."""
-
-    @property
-    def name(self) -> str:
-        """Name in messages, with the sensor's address."""
-
-    @property
-    def config(self) -> ForceSensorConfig:
-        """Configuration."""
-
-    @property
-    def clock(self) -> Clock:
-        """Clock of all times."""
-
-    @property
-    def device_lock(self) -> DeviceLock:
-        """Lock acquired by `open`, so that no second program uses the sensor."""
-
-    @property
-    def identity(self) -> dict[str, str | None]:
-        """Properties that the open sensor reports and that affect its zero, by name, e.g.
-        `serial`."""
-
-    @property
-    def delay_s(self) -> float:
-        """Delay of the force in an open sensor's readings, for which `force_time` is corrected
-        [s]."""
-
-    @property
-    def zero_wrench(self) -> Wrench:
-        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]."""
-
-    def open(self) -> None:
-        """Connect and wait for readings. On failure, close again; raises RigError if the sensor
-        does not match its configuration and DeviceError if it does not respond."""
-
-    def read(self) -> ForceReading:
-        """Return the latest force without waiting. If nothing new has arrived, it does not
-        change."""
-
-    def keep_up(self) -> None:
-        """Process what has arrived, so that nothing becomes outdated during other waits."""
-
-    def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
-        """Wait for `seconds`, then return the mean and standard deviation of the unfiltered records
-        received in that time, in softfin's axes [N, N m]."""
-
-    def zero(self) -> None:
-        """Set the zero to the current load; call only while the fin is at rest."""
-
-    def restore_zero(self, wrench: Wrench) -> None:
-        """Set an open sensor's `zero_wrench` to a recorded one."""
-
-    def checks(self) -> Iterator[CheckResult]:
-        """Yield lines for `softfin rig check` about the open sensor; the first describes it."""
-
-    def complaints(self) -> tuple[str, ...]:
-        """Return one line per fault as of the latest read, ending with its fix."""
-
-    def notes(self) -> tuple[str, ...]:
-        """Return notes for the operator that do not stop the fin, one line each."""
-
-    def counters(self) -> dict[str, int]:
-        """Return the counters since `open`; names start with ``sensor_``, and ``sensor_records``
-        and ``sensor_lost`` are required."""
-
-    def close(self) -> None:
-        """Disconnect; may be called repeatedly and never raises."""
-
-
-Settings = TypeVar("Settings", bound=DeviceConfig)
-
-
-@dataclass(frozen=True)
-class DriveType(Generic[Settings]):
-    """A type of drive."""
-
-    config: type[Settings]
-    """Class of its configuration."""
-    make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
-    at once when the drive reports a fault, from any thread."""
-
-
-@dataclass(frozen=True)
-class ForceSensorType(Generic[Settings]):
-    """A type of force sensor."""
-
-    config: type[Settings]
-    """Class of its configuration."""
-    make: Callable[[Settings, Computer], ForceSensor]
-    """Makes a sensor from its configuration and the computer."""

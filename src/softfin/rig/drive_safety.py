@@ -6,11 +6,9 @@ from contextlib import contextmanager, suppress
 from typing import Generic, NamedTuple, TypeVar
 
 from softfin.core.clock import Clock
-from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
-from softfin.core.quantities import Limits
+from softfin.core.errors import DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.rig.device import Drive, DriveConfig
-from softfin.rig.machine import Target
-from softfin.rig.safety import OVERSHOOT_RAD, check_target
+from softfin.rig.safety import OVERSHOOT_RAD
 
 Entry = TypeVar("Entry")
 
@@ -22,17 +20,6 @@ MIN_ATTEMPTS = 3
 STOP_CONFIRMED_S = 0.3
 """Time for which the motor must stay off [s]; a program that still drives it would power it again
 within this time."""
-
-
-def accept_target(target: Target, limits: Limits) -> Target:
-    """Return a target within the limits, which the drive enforces exactly; raises CommandError if
-    it is outside by more than rounding errors."""
-    if trip := check_target(target, limits):
-        raise CommandError(trip.reason)
-    low_angle, high_angle, slowest, fastest = limits
-    return Target(
-        min(max(target.angle, low_angle), high_angle), min(max(target.velocity, slowest), fastest)
-    )
 
 
 class Setting(NamedTuple, Generic[Entry]):

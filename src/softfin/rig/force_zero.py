@@ -7,9 +7,10 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.core.json_object import JsonObject, describe_changes
 from softfin.gaits.reachable import round_size
 from softfin.rig.config import RigConfig
-from softfin.rig.device import ForceSensor, drop_address
+from softfin.rig.device import drop_address
 from softfin.rig.record import ForceZero, load_record, save_record
 from softfin.rig.safety import FORCE_PEAK_N
+from softfin.rig.streamed_sensor import StreamedSensor
 
 MOVING_N = 0.3
 """Standard deviation of the force above which the fin counts as moving [N], times
@@ -19,7 +20,7 @@ ZERO_N = 0.1
 """Largest mean force after zeroing, in addition to its noise [N], times `tolerance_scale`."""
 
 
-def zero_force(sensor: ForceSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
+def zero_force(sensor: StreamedSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
     """Set the sensor's zero to the force at rest and save it in the rig's record; raises
     DeviceError if that fails.
 
@@ -68,7 +69,7 @@ def tolerance_scale(config: RigConfig) -> float:
     return max(round_size(config.safety.force_peak_n / FORCE_PEAK_N), 1.0)
 
 
-def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None:
+def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | None:
     """Make an open sensor use the recorded zero and return it, or None if there is none; raises
     RigError if the zero is of another sensor or of other settings."""
     zero = load_record(config.file).force_zero
@@ -83,6 +84,6 @@ def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None
     return zero
 
 
-def _settings(sensor: ForceSensor) -> JsonObject:
+def _settings(sensor: StreamedSensor) -> JsonObject:
     """Return what the sensor's zero depends on."""
     return drop_address(sensor.config.model_dump(mode="json")) | sensor.identity

@@ -54,9 +54,9 @@ MARGIN_S = 0.1
 
 STILL_S = 0.1
 """Time for which the fin must not turn [s], and the tolerance for that [rad]."""
-STILL_RAD = 0.01
+STOPPED_RAD = 0.01
 
-STOP_S = 3.0
+PROGRAM_STOP_S = 3.0
 """Longest wait for the program to stop its fin [s]."""
 
 SIMULATED_WATCHDOG_S = 2.0
@@ -247,7 +247,7 @@ def _kill_program(
             # would.
             process.stdin.close()
             with suppress(subprocess.TimeoutExpired):
-                process.wait(STOP_S)
+                process.wait(PROGRAM_STOP_S)
             raise
         process.send_signal(number)
         died = COMPUTER()
@@ -296,7 +296,7 @@ def _look(
     finally:
         rig.close()
     fix = "check the drive's reaction to a lost host, and update a servo's firmware"
-    if later_rad > STILL_RAD:
+    if later_rad > STOPPED_RAD:
         raise DeviceError(f"fin still turned {seen_s:.1f} s after softfin had died; {fix}")
     way_rad = abs(angle - died_angle)
     most_rad = max(WAY_RAD, swing.velocity_rad_s * swing.silence_s)

@@ -7,7 +7,8 @@ from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.config import RigConfig
-from softfin.rig.device import Drive, DriveType, ForceSensor, ForceSensorType
+from softfin.rig.device import Drive
+from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.rig.devices.registry import find_device
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
@@ -27,7 +28,7 @@ class Rig:
         self.drive: Drive = find_device(DriveType, drive.type).make(
             drive, config.bus, self.clock, lambda _: self.stop()
         )
-        self.sensor: ForceSensor = find_device(ForceSensorType, config.sensor.type).make(
+        self.sensor = find_device(ForceSensorType, config.sensor.type).make(
             config.sensor, self.clock
         )
 

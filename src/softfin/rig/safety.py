@@ -14,6 +14,7 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from softfin.control.controller import TrainingRange
 from softfin.core.configuration import Configuration
+from softfin.core.errors import CommandError
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
 
@@ -316,3 +317,14 @@ class _Mean:
         if now - self._began < self._seconds:
             return 0.0
         return sum(value for _, value in self._items) / len(self._items)
+
+
+def accept_target(target: Target, limits: Limits) -> Target:
+    """Return a target within the limits, which the drive enforces exactly; raises CommandError if
+    it is outside by more than rounding errors."""
+    if trip := check_target(target, limits):
+        raise CommandError(trip.reason)
+    low_angle, high_angle, slowest, fastest = limits
+    return Target(
+        min(max(target.angle, low_angle), high_angle), min(max(target.velocity, slowest), fastest)
+    )

@@ -113,7 +113,8 @@ class RecordSource(ABC):
         self.name = name
         self.key = key
         self.identity: dict[str, str | None] = {}
-        """Properties of the open sensor, as in `softfin.rig.device.ForceSensor`."""
+        """Properties that the open sensor reports and that affect its zero, by name, e.g.
+        `serial`."""
         self.counted: Counter[str] = Counter()
         """Counters since `open`: ``records``, ``lost``, ``late``, ``malformed``, and others."""
 
@@ -161,7 +162,7 @@ class RecordSource(ABC):
 
 
 class StreamedSensor:
-    """One sensor that implements `softfin.rig.device.ForceSensor`; not thread-safe."""
+    """The force sensor of a rig; not thread-safe."""
 
     def __init__(self, config: StreamedSensorConfig, source: RecordSource, clock: Clock) -> None:
         self.config = config

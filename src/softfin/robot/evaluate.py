@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.control.controller import ControllerState, LoadedController, Measured
+from softfin.control.pytrees import register_controllers
 from softfin.control.references import nearest_trackable
 from softfin.core.action_clock import ActionClock
 from softfin.core.compilation import jit
@@ -208,6 +209,7 @@ def fin_loads(
     actions = clock.actions_within(ticks)
     newest = newest_references(clock, starts, actions, references.shape[1])
     keys = jax.random.split(key, len(starts))
+    register_controllers()
     load = _loads(fin, jnp.asarray(references[:, newest], jnp.float32), keys, clock)
     force = np.zeros((len(references), len(starts), ticks, 2))
     torque = np.zeros((len(references), len(starts), ticks))

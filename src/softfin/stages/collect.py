@@ -8,6 +8,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.option_types import DIR, HIDDEN, PLANT, Config, PathLike, PlantLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
+from softfin.core.seeds import check_seed
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
 from softfin.storage.registry import check_plant, is_live
@@ -60,6 +61,7 @@ def collect(
         >>> softfin.collect(plant="tank", out="dataset", logs=10, rows=6000)
     """
     out = Path(out)
+    check_seed(seed)
     artifacts.check_vacant(out, overwrite or resume)
     is_real = isinstance(plant, str) and is_live(plant)
     for option, is_given in (("--arm", arm), ("--resume", resume)):

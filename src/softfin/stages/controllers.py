@@ -65,7 +65,6 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
 @lock_output
 def map_forces(
     plant: Annotated[PlantLike, PLANT],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     clock: Annotated[str | None, CLOCK] = None,
@@ -155,7 +154,6 @@ def _describe_map(values: JsonObject) -> str:
 @lock_output
 def train(
     surrogate: Annotated[PlantLike, Parameter(metavar="SURROGATE")],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     controller: PolicyLayout | None = None,
@@ -277,7 +275,6 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
 
 def export(
     controller: Annotated[PathLike, CONTROLLER],
-    /,
     *,
     onnx: Annotated[PathLike, FILE],
     overwrite: bool = False,

@@ -20,7 +20,9 @@ from softfin.core.option_types import (
 )
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
+from softfin.core.seeds import check_seed
 from softfin.storage import artifact as artifacts
+from softfin.storage.paths import check_reference_file
 from softfin.storage.registry import check_plant, is_live
 
 if TYPE_CHECKING:
@@ -83,6 +85,9 @@ def evaluate(
     Example:
         >>> softfin.evaluate("gaits", plant="tank", out="evaluation", trim=True)
     """
+    check_seed(seed)
+    if reference_file is not None:
+        check_reference_file(Path(reference_file))
     paths = list(map(Path, controllers))
     out = None if out is None else Path(out)
     is_real = isinstance(plant, str) and is_live(plant)

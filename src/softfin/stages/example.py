@@ -21,7 +21,6 @@ EXAMPLE_KIND = "example"
 
 def write_example(
     folder: Annotated[PathLike, DIR],
-    /,
     *,
     overwrite: bool = False,
 ) -> Result:

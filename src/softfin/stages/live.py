@@ -99,7 +99,7 @@ def collect_live(
     names = _log_names(config)
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     # Checked before anything moves, because collecting takes hours.
-    _check_claim(bags, claim, resume)
+    sensor_states = _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings belong to this collection, and the dataset is only written once they are
         # complete.
@@ -112,7 +112,7 @@ def collect_live(
         with Session(robot.machine, guard, stop=stop, warn=warn) as session:
             confirm(robot)
             session.stop_on_signals()
-            artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
+            _write_state(bags, claim, sensor_states)
             for index, name in enumerate(missing):
                 # Default arguments bind the index and name of this iteration.
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
@@ -127,30 +127,28 @@ def collect_live(
 
                 with session.recording(bags / f"{name}.mcap"):
                     log, rest_force = _record(session, robot, config, name, report)
-                sensor_state = _sensor_state(robot.machine) | {
+                sensor_states[name] = _sensor_state(robot.machine) | {
                     "force_at_rest_n": [round(x, 4) for x in rest_force],
                     "force_peak_n": round(float(np.abs(log.reading.force).max()), 4),
                 }
                 # Written before the log: an existing log is considered finished, so its sensor
                 # state must already exist.
-                artifacts.write_file(_sensor_file(bags, name), artifacts.dump_json(sensor_state))
+                _write_state(bags, claim, sensor_states)
                 write_log(bags / f"{name}.parquet", log)
-                if line := _drift_warning(_sensor_states(bags, names), name):
+                if line := _drift_warning(sensor_states, names[0], name):
                     warn(line)
             metadata["counters"] = robot.machine.counters() | {
                 "skipped_ticks": session.pace.skipped
             }
             metadata["clock"] = session.pace.to_dict()
-    sensor_states = _sensor_states(bags, names)
+    drifts = [_drift_warning(sensor_states, names[0], name) for name in names]
     description = {
         "plant": robot.machine.name,
         "plant_identity": robot.machine.name,
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "sensor_by_log": sensor_states,
-        "sensor_warnings": list(
-            filter(None, (_drift_warning(sensor_states, log) for log in names))
-        ),
+        "sensor_warnings": [line for line in drifts if line is not None],
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
@@ -366,26 +364,12 @@ def _sensor_state(machine: Machine) -> JsonObject:
     }
 
 
-def _sensor_file(bags: Path, name: str) -> Path:
-    """Return the file of the sensor's state for one log."""
-    return bags / f"{name}.sensor.json"
-
-
-def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
-    """Return the sensor's state for each recorded log."""
-    files = {name: _sensor_file(bags, name) for name in names}
-    return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
-
-
-def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
+def _drift_warning(sensor_states: JsonObject, first_name: str, name: str) -> str | None:
     """Return a warning if the rest force before a log differs from that before the first log, in
     relation to the log's peak force."""
-    first_name = next(iter(sensor_states))
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
-    # Earlier versions did not store the peak.
-    peak_n = sensor_states[name].get("force_peak_n", PAPER_PEAK_N)
-    limit = DRIFT_N * round_size(peak_n / PAPER_PEAK_N)
+    limit = DRIFT_N * round_size(sensor_states[name]["force_peak_n"] / PAPER_PEAK_N)
     if drift <= limit:
         return None
     return (
@@ -395,9 +379,14 @@ def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
     )
 
 
-def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> None:
-    """Raise ArtifactError if the folder contains other recordings, or finished logs without
-    `resume`."""
+def _write_state(bags: Path, claim: JsonObject, sensor_states: JsonObject) -> None:
+    state = claim | {"sensor_by_log": sensor_states}
+    artifacts.write_file(bags / STATE, artifacts.dump_json(state))
+
+
+def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
+    """Return the sensor's state for each finished log; raises ArtifactError if the folder contains
+    other recordings, or finished logs without `resume`."""
     state = bags / STATE
     if not state.exists():
         if bags.exists() and any(bags.iterdir()):
@@ -412,8 +401,11 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> None:
             )
         # Through JSON and back, so that tuples and numbers compare equal to those in the file.
         before = artifacts.read_json(state)
+        sensor_states: JsonObject = before.pop("sensor_by_log", {})
         now = json.loads(artifacts.dump_json(claim))
         check_same(bags, before, now, "use the same options and rig, or choose another --out")
+        return sensor_states
+    return {}
 
 
 def _record(

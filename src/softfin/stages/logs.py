@@ -17,7 +17,6 @@ from softfin.storage.paths import find_recordings
 
 def inspect_logs(
     logs: Annotated[PathLike, LOGS],
-    /,
     *,
     out: Annotated[PathLike | None, DIR] = None,
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
@@ -62,7 +61,6 @@ def inspect_logs(
 
 def import_logs(
     logs: Annotated[PathLike, LOGS],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
@@ -116,7 +114,6 @@ def import_logs(
 
 def recover_recording(
     recording: Annotated[PathLike, RECORDING],
-    /,
     *,
     out: Annotated[PathLike | None, FILE] = None,
     overwrite: bool = False,

@@ -45,7 +45,6 @@ SHOWN_TEST_S = 8
 @lock_output
 def fit(
     dataset: Annotated[PathLike, LOGS],
-    /,
     *,
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
@@ -119,7 +118,7 @@ def fit(
 
         def keep(folder: Path) -> None:
             run_directory.keep_log(folder)
-            if test:
+            if test and test[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, test[0]), folder / "prediction.png")
 
         # The metadata of a dataset are already in its own folder.
@@ -255,8 +254,7 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
 
 @lock_output
 def calibrate(
-    data: Annotated[PlantLike | Path, DATA],
-    /,
+    data: Annotated[PathLike | PlantLike, DATA],
     *,
     out: Annotated[PathLike, DIR],
     preset: CalibratePreset = "full",

@@ -6,7 +6,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.config import RigConfig
-from softfin.rig.device import ForceSensorType
+from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices import registry
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.device import AXIA80

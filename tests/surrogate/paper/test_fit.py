@@ -6,6 +6,7 @@ from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.storage import artifact as artifacts
 from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_training_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
+from softfin.surrogate.paper import fit
 from softfin.surrogate.paper.fit import PaperLearner, fit_paper, window_starts
 from tests.full_disk import check_that_a_full_disk_stops, needs_full_device
 from tests.surrogate import small
@@ -73,8 +74,9 @@ def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
     assert fitted.scaling == whole[0].scaling
 
 
-def test_the_best_weights_are_kept_not_the_last(tmp_path):
-    config = CONFIG.changed(["epochs=30", "learning_rate=0.05", "patience=2"])
+def test_the_best_weights_are_kept_not_the_last(tmp_path, monkeypatch):
+    monkeypatch.setattr(fit, "PATIENCE", 2)
+    config = CONFIG.changed(["epochs=30", "learning_rate=0.05"])
     run_directory = RunDirectory(tmp_path / "s", {})
     fitted = fit_paper(LOGS, config, 0, run_directory)
     history = read_training_log(run_directory.folder / LOG)

@@ -208,16 +208,6 @@ class EmulatedDrive:
         """Cut the cable: nothing is received or sent, and the drive continues by itself."""
         self._network.silent = True
 
-    def plug_in(self) -> None:
-        """Reconnect the cable."""
-        self._network.silent = False
-
-    def cut_supply(self) -> None:
-        """Switch off the supply: the fin coasts, and the drive does not respond until `plug_in`."""
-        with self._lock:
-            self.go_silent()
-            self._enter(State.SWITCH_ON_DISABLED)
-
     def reboot(self) -> None:
         """Restart as after a brief power loss: the zero is lost."""
         with self._lock:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RigError, one_line
-from softfin.rig.device import DriveType, ForceSensorType
+from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.storage.plugins import list_plugins
 
 GROUP = "softfin.devices"

@@ -39,13 +39,12 @@ class TransportConfig(Configuration):
     """How to reach other nodes."""
 
     transport: TransportName = "auto"
-    """auto: rclpy if it is installed, otherwise DDS."""
+    """rclpy needs ROS 2, dds does not; auto: rclpy if it is installed."""
     # RTPS uses the UDP ports from 7400 + 250 * domain, so 232 is the largest domain.
     domain: int | None = Field(default=None, ge=0, le=232)
-    """ROS domain; None uses the environment variable ROS_DOMAIN_ID, or 0 if it is not set."""
+    """ROS domain (default: the environment variable ROS_DOMAIN_ID, or 0)."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
-    """Network interface for DDS, e.g. eth0; None restricts DDS to this computer. rclpy uses ROS's
-    own settings."""
+    """Network interface for DDS, e.g. eth0, not for rclpy (default: this computer only)."""
     node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
     """Node name, used with rclpy."""
 

@@ -18,7 +18,6 @@ from rosbags.typesys.store import Typestore
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
-from softfin.rig.drive_safety import accept_target
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
@@ -31,6 +30,7 @@ from softfin.rig.ros2.connection import (
     read_joint,
     read_wrench,
 )
+from softfin.rig.safety import accept_target
 from softfin.storage.bag.messages import (
     JOINT_STATE,
     SECOND_NS,

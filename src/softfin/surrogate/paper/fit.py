@@ -35,6 +35,9 @@ from softfin.surrogate.training import (
     window_starts,
 )
 
+PATIENCE = 4
+"""Number of epochs without a lower held-out error in either network after which training stops."""
+
 
 class FitConfig(SurrogateConfig):
     """Configuration of the fit of the paper's networks."""
@@ -48,9 +51,6 @@ class FitConfig(SurrogateConfig):
     epochs: PositiveInt = 12
     """Maximum number of passes over all windows, during which the learning rate decays to zero
     (cosine)."""
-    patience: PositiveInt = 4
-    """Number of epochs without a lower held-out error in either network after which training
-    stops."""
     batch: PositiveInt = 512
     """Number of windows per update."""
     learning_rate: float = Field(default=1e-3, gt=0)
@@ -93,7 +93,7 @@ def fit_paper(
             note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
             progress("fit", (epoch + call / calls) / config.epochs, note)
 
-    while done["epoch"] < config.epochs and done["stale"] < config.patience:
+    while done["epoch"] < config.epochs and done["stale"] < PATIENCE:
         epoch = done["epoch"]
         # Order and dropout depend only on the seed and the epoch, so a resumed run equals an
         # uninterrupted one.

@@ -48,7 +48,7 @@ between logs, such as drift."""
 RARE = 0.999
 """Fraction of the training data with a distance below 1."""
 
-LOGS = 50
+MEMORY_LOGS = 50
 """Maximum number of training logs used to define the distance."""
 
 EVERY = 7
@@ -290,7 +290,8 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     long_enough = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1]
     # Consecutive samples are almost equal, so only some are used.
     memories = [
-        np.asarray(_memories(single(nets), each))[burn_in::EVERY] for each in long_enough[:LOGS]
+        np.asarray(_memories(single(nets), each))[burn_in::EVERY]
+        for each in long_enough[:MEMORY_LOGS]
     ]
     memory = np.concatenate(memories).astype(np.float64)
     # With the covariance V diag(s) V^T, the Mahalanobis distance is |(m - mean) V / sqrt(s)|.

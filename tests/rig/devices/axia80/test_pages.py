@@ -165,10 +165,10 @@ def test_any_bytes_are_settings_or_refused():
 
 
 def test_the_pages_of_the_emulator_are_read():
-    with serving(sensor_pages(("N", "N-mm"), (1e6, 1e3), serial="FT12345")) as port:
+    with serving(sensor_pages("N", "N-mm", serial="FT12345")) as port:
         settings = read_settings("127.0.0.1", port)
     assert settings.calsn == "FT12345"
-    assert settings.scale[5] == pytest.approx(1e-6)
+    assert settings.scale[5] == pytest.approx(1e-9)
 
 
 def test_a_sensor_without_the_second_page_is_read_all_the_same():

@@ -32,7 +32,6 @@ records = st.builds(RdtRecord, unsigned, unsigned, unsigned, st.tuples(*[signed]
         (RdtCommand.STOP, 0, "1234000000000000"),
         (RdtCommand.START, 0, "1234000200000000"),
         (RdtCommand.START, 7, "1234000200000007"),
-        (RdtCommand.BIAS, 0, "1234004200000000"),
     ],
 )
 def test_a_request_is_the_eight_bytes_of_the_manual(order, wanted, sent):

@@ -10,7 +10,7 @@ import pytest
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.lines import emulated_lines
+from softfin.emulation.lines import EmulatedLines
 from softfin.emulation.network import SimulatedSocket
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.parser import LagWatch
@@ -24,7 +24,7 @@ LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
 @contextmanager
 def bench(rate_hz=320.0, **changes):
     clock = SimulatedClock()
-    emulated = emulated_lines(StillFin(*LOAD), rate_hz, clock)
+    emulated = EmulatedLines(StillFin(*LOAD), rate_hz, clock)
     values = {
         "columns": ("count", "force_x", "force_y"),
         "rate_hz": rate_hz,
@@ -77,7 +77,7 @@ def test_the_zero_is_kept_by_softfin_and_survives_a_restart_of_the_sensor():
         sensor.zero()
         assert run(sensor, clock, 0.1).wrench[:2] == pytest.approx((0.0, 0.0), abs=0.01)
         kept = sensor.zero_wrench
-        emulated.link.count = 0
+        emulated.count = 0
         sensor.open()
         sensor.restore_zero(kept)
         assert run(sensor, clock, 0.1).wrench[:2] == pytest.approx((0.0, 0.0), abs=0.01)
@@ -88,7 +88,7 @@ def test_a_restart_while_in_use_is_a_fault():
     with bench() as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.5)
-        emulated.link.count = 0
+        emulated.count = 0
         run(sensor, clock, 0.1)
         assert "its counter went back" in sensor.complaints()[0]
 
@@ -299,7 +299,7 @@ def test_two_senders_are_a_fault_that_names_both(host, columns):
         with second_sender(sensor, host) as second:
             reading = run(sensor, clock, 0.1)
         (complaint,) = sensor.complaints()
-        first = f"{LOOPBACK}:{emulated.link.socket.address[1]}"
+        first = f"{LOOPBACK}:{emulated.socket.address[1]}"
         assert f"records come from {first} and {host}:{second.address[1]}, so two" in complaint
         if host != LOOPBACK:
             # Its records are not used.

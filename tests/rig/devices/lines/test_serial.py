@@ -5,7 +5,7 @@ import time
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.emulation.lines import emulated_lines
+from softfin.emulation.lines import EmulatedLines
 from softfin.rig import streamed_sensor
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.sensor import lines_sensor
@@ -24,7 +24,7 @@ def _patient(monkeypatch):
 def made(over, **changes):
     if over == "serial":
         needs.module("serial", "pyserial is not installed")
-    emulated = emulated_lines(
+    emulated = EmulatedLines(
         StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, udp_port=None if over == "serial" else 0
     )
     values = {
@@ -56,7 +56,7 @@ def test_a_sensor_that_is_unplugged_is_a_fault_and_its_port_is_refused_afterward
     emulated, sensor = made("serial")
     try:
         sensor.open()
-        emulated.link.close()
+        emulated.unplug()
         end = time.monotonic() + HANG_S
         while not any("disconnected" in line for line in sensor.complaints()):
             assert time.monotonic() < end

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from softfin.core.errors import RigError
-from softfin.emulation.topic import emulated_topic
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.rig.devices.ros2.sensor import TopicSource, topic_sensor
@@ -32,7 +32,7 @@ LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
 @pytest.fixture
 def emulated(monkeypatch):
     monkeypatch.setattr(streamed_sensor, "FIRST_WAIT_S", HANG_S)
-    topic = emulated_topic(StillFin(*LOAD), 80.0, connection=CONNECTION)
+    topic = EmulatedTopic(StillFin(*LOAD), 80.0, connection=CONNECTION)
     yield topic
     topic.close()
 
@@ -64,13 +64,13 @@ def test_forces_arrive_and_a_second_program_is_refused(sensor):
 
 def test_a_driver_that_ends_is_a_fault(emulated, sensor):
     sensor.open()
-    emulated.link.close()
+    emulated.unplug()
     await_complaint(sensor, "no longer has a publisher; restart its driver")
 
 
 def test_a_second_driver_on_the_topic_is_a_fault_that_names_both_processes(emulated, sensor):
     sensor.open()
-    second = emulated_topic(StillFin(*LOAD), 80.0, connection=CONNECTION, topic=emulated.link.topic)
+    second = EmulatedTopic(StillFin(*LOAD), 80.0, connection=CONNECTION, topic=emulated.topic)
     try:
         await_complaint(sensor, "has 2 publishers (")
         (complaint,) = (line for line in sensor.complaints() if "publishers" in line)
@@ -80,14 +80,12 @@ def test_a_second_driver_on_the_topic_is_a_fault_that_names_both_processes(emula
 
 
 def test_a_topic_of_another_type_is_named_with_its_type(emulated, sensor):
-    emulated.link.close()
+    emulated.unplug()
     other = open_transport(CONNECTION)
-    publisher = other.publish(emulated.link.topic, BOOL)
+    publisher = other.publish(emulated.topic, BOOL)
     source = TopicSource(sensor.config, COMPUTER)
     source.open()
-    wait_until(
-        lambda: f"found {emulated.link.topic} (std_msgs/msg/Bool)" in source.explain_silence()
-    )
+    wait_until(lambda: f"found {emulated.topic} (std_msgs/msg/Bool)" in source.explain_silence())
     publisher.send(serialized(BOOL, {"data": True}))
     assert not source.take()
     source.close()

@@ -8,7 +8,7 @@ import pytest
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.topic import emulated_topic
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.rig.devices.ros2.sensor import topic_sensor
 from softfin.storage.bag.messages import SECOND_NS
@@ -22,7 +22,7 @@ TOPIC = "/ft_sensor/wrench"
 @contextmanager
 def bench(rate_hz=320.0, **changes):
     clock = SimulatedClock()
-    emulated = emulated_topic(StillFin(*LOAD), rate_hz, clock, topic=TOPIC)
+    emulated = EmulatedTopic(StillFin(*LOAD), rate_hz, clock, topic=TOPIC)
     values = {"rate_hz": rate_hz, "filter_delay_s": 0.0, "frame": "y,-x", "topic": TOPIC}
     sensor = topic_sensor(TopicSensorConfig.build(values | changes), clock)
     try:
@@ -178,7 +178,7 @@ def test_a_publisher_that_is_gone_is_a_fault_at_once():
     with bench() as (emulated, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.2)
-        emulated.link.close()
+        emulated.unplug()
         run(sensor, clock, 0.01)
         assert sensor.complaints() == (
             f"force sensor {TOPIC}: no longer has a publisher; restart its driver",
@@ -374,7 +374,7 @@ def test_two_publishers_on_one_topic_are_refused_and_are_a_fault_later_on():
     with bench() as (_, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.2)
-        second = emulated_topic(StillFin(*LOAD), 320.0, clock, topic=TOPIC)
+        second = EmulatedTopic(StillFin(*LOAD), 320.0, clock, topic=TOPIC)
         try:
             run(sensor, clock, 0.01)
             assert len(set(sensor.complaints())) == 1

@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import SafetyStop
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.rig import EmulatedRig
-from softfin.emulation.topic import emulated_topic
+from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.config import RigConfig
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
@@ -47,7 +47,7 @@ FAULTS = {
     "nonsense": (lambda sensor: change(sensor, wrench=(math.nan,) * 6), "force x is nan"),
     "old stamps": (lambda sensor: change(sensor, stamp_ns=1), "time stamps do not increase"),
     "no stamps": (lambda sensor: change(sensor, stamp_ns=0), "header.stamp is 0"),
-    "unplugged": (lambda sensor: sensor.link.close(), "no longer has a publisher"),
+    "unplugged": (lambda sensor: sensor.unplug(), "no longer has a publisher"),
 }
 """For each fault, the words with which the session ends."""
 
@@ -74,9 +74,7 @@ def test_a_second_publisher_in_motion_stops_the_fin(bench):
     with Session(rig, Guard(rig.config.safety, rig.limits)) as made:
         made.activate()
         made.hold(Target(-1.5, math.pi), 40)
-        second = emulated_topic(
-            StillFin(), 320.0, clock=behind.clock, topic=behind.sensor.link.topic
-        )
+        second = EmulatedTopic(StillFin(), 320.0, clock=behind.clock, topic=behind.sensor.topic)
         with pytest.raises(SafetyStop, match=r"has 2 publishers \(node \d+, node \d+\); stop all"):
             made.hold(Target(1.5, math.pi), 33)
         second.close()

@@ -27,17 +27,11 @@ BUSY = 0x80000008
 
 
 class RdtCommand(enum.IntEnum):
-    """Axia commands; the sensor does not acknowledge STOP and BIAS.
-
-    softfin does not send BIAS: the sensor would lose that zero with its supply.
-    """
+    """Axia commands that softfin sends; the sensor does not acknowledge STOP."""
 
     STOP = 0x0000
-    START_OLD = 0x0001
-    """Alternative code for START."""
     START = 0x0002
     """Start streaming with one record per datagram."""
-    BIAS = 0x0042
 
 
 class RdtRecord(NamedTuple):

@@ -160,6 +160,7 @@ class RdtSource(RecordSource):
         if self._client is not None and not self._client.closed:
             self._client.send(RdtCommand.STOP)
             self._client.close()
+        self.status = 0
 
     def _open_client(self) -> RdtClient:
         assert self._client is not None, "StreamedSensor uses open sources only"

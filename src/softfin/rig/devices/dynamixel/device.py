@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
-from softfin.rig.device import DriveType
+from softfin.rig.device_type import DriveType
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.drive import Dynamixel
 

@@ -26,7 +26,6 @@ from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, St
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.drive_safety import (
     UNCONFIRMED,
-    accept_target,
     check_fin_angle,
     check_no_pause,
     stays_off,
@@ -35,7 +34,7 @@ from softfin.rig.drive_safety import (
 )
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target
-from softfin.rig.safety import OVERSHOOT_RAD
+from softfin.rig.safety import OVERSHOOT_RAD, accept_target
 
 ANSWER_S = 0.006
 """Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy

@@ -12,8 +12,9 @@ from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.devices.epos2.protocol import Bit, State
-from softfin.rig.drive_safety import UNCONFIRMED, accept_target, check_fin_angle, stopped_afterwards
+from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
 from softfin.rig.machine import Target
+from softfin.rig.safety import accept_target
 
 ANSWER_S = 0.006
 """Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
