@@ -105,16 +105,14 @@ def _can() -> CheckResult:
         for path in sorted(INTERFACES.glob("*/type"))
         if path.read_text().strip() == CAN_TYPE
     }
-    if not states:
-        return CheckResult(
-            "CAN", "note", "no SocketCAN interface; an EPOS2 needs one, or another CAN adapter"
-        )
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
-    if all(states.values()):
+    if not states:
+        text = "no SocketCAN interface; an EPOS2 needs one, or another CAN adapter"
+    elif all(states.values()):
         return CheckResult("CAN", "well", text)
-    return CheckResult(
-        "CAN", "note", f"{text}; run: sudo ip link set NAME up type can bitrate 1000000"
-    )
+    else:
+        text += "; run: sudo ip link set NAME up type can bitrate 1000000"
+    return CheckResult("CAN", "note", text)
 
 
 def _serial_ports() -> CheckResult:
@@ -122,10 +120,10 @@ def _serial_ports() -> CheckResult:
     if not ports:
         return CheckResult("serial ports", "note", "none on USB; a Dynamixel needs one")
     text = ", ".join(map(str, ports))
-    if all(os.access(port, os.R_OK | os.W_OK) for port in ports):
+    if not ports:
+        text = "none on USB; a Dynamixel needs one"
+    elif all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
-    return CheckResult(
-        "serial ports",
-        "note",
-        f"{text}; not all may be used: run sudo usermod -aG dialout $USER, then log in again",
-    )
+    else:
+        text += "; not all may be used: run sudo usermod -aG dialout $USER, then log in again"
+    return CheckResult("serial ports", "note", text)

@@ -44,10 +44,10 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
     assert metadata == {"updates": 7}
     names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
     assert names == {
-        "tree.weights.kernel",
-        "tree.weights.bias",
-        "tree.pair.0",
-        "tree.pair.1",
+        "weights.kernel",
+        "weights.bias",
+        "pair.0",
+        "pair.1",
     }
 
 
@@ -70,7 +70,7 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
 @pytest.mark.parametrize(
     ("like", "words"),
     [
-        (STATE._replace(pair=(jnp.int32(0),)), r"tree.pair.1 was 'float32 \(3,\)' and is None"),
+        (STATE._replace(pair=(jnp.int32(0),)), r"pair.1 was 'float32 \(3,\)' and is None"),
         (
             STATE._replace(pair=(jnp.int32(0), jnp.ones(2))),
             r"was 'float32 \(3,\)' and is 'float32 \(2,\)'",

@@ -121,7 +121,10 @@ def resolve_reference(
     # A reachable reference is returned unchanged to the last bit, so exact comparison is right.
     if (x, y) == tuple(reference):
         return reference, None
-    problem = unreachable(reference, (x, y))
+    problem = (
+        f"reference {format_force(reference)} N: this fin cannot produce it; the nearest reachable "
+        f"force in this controller's range is ({x:.3f}, {y:.3f}) N"
+    )
     if strict:
         raise CoverageError(f"{problem}; use that force, or remove --strict")
     return (x, y), f"{problem}, which is tracked instead"
@@ -159,11 +162,3 @@ def nearest_trackable(
     within = forces.astype(float)
     within[beyond] = near
     return within
-
-
-def unreachable(reference: ForceVector, near: ForceVector) -> str:
-    """Describe an unreachable reference and the nearest reachable one."""
-    return (
-        f"reference {format_force(reference)} N: this fin cannot produce it; the nearest reachable "
-        f"force in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
-    )

@@ -8,7 +8,6 @@ import hashlib
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,9 +28,7 @@ CONTROLLER_KIND = "controller"
 AGAIN = "copy the folder again, or map or train again"
 """Suggested fix for a damaged folder."""
 
-CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
-    {step.kind: step for step in (SingleStep, GridStep, GaitStep)}
-)
+CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, GridStep, GaitStep)}
 """Step classes by kind of controller."""
 
 
@@ -155,16 +152,13 @@ def save_gaits(
     ]
     figure = map_figure(force_map, tolerance_n)
 
-    def draw(folder: Path) -> None:
-        save_figure(figure, folder / "map.png")
-
     write_controller(
         path,
         GaitStep.kind,
         limits,
         {**force_map.to_dict(), "scores": scores, **keys},
         force_map.arrays(),
-        draw,
+        lambda folder: save_figure(figure, folder / "map.png"),
         overwrite,
         force_map.clock,
     )

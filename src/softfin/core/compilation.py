@@ -4,6 +4,7 @@ calls of compiled programs in threads."""
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, Literal, TypeVar, cast
 
 import equinox as eqx
@@ -36,10 +37,7 @@ def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
     level = 0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
     options: dict[str, Any] = {**OLDER_GENERATOR, "xla_backend_optimization_level": level}
 
-    def compile_function(function: Function) -> Function:
-        return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=options))
-
-    return compile_function
+    return partial(cast(Any, eqx.filter_jit), compiler_options=options)
 
 
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

@@ -17,9 +17,6 @@ VELOCITY_UNIT_RPM = 0.229
 VOLTAGE_UNIT_V = 0.1
 """Unit of the input voltage [V]."""
 
-REGISTER_BITS = {"angle": 32, "velocity": 32, "current": 16, "voltage": 16}
-"""Size of the registers of each quantity; all but the voltage are signed."""
-
 
 class Model(NamedTuple):
     """Properties that differ between the models."""

@@ -35,13 +35,6 @@ def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any
     return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
 
 
-def window_error(
-    forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]
-) -> Any:
-    """Return F_e = mean(F) - F_r over the last `count` samples [N]."""
-    return window_mean(forces, count) - reference
-
-
 def sobolev(
     forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean"
 ) -> Any:
@@ -87,20 +80,17 @@ def moving_error(
 
 
 def window_means(
-    series: Float[np.ndarray, "*batch ticks channels"], window: int = PAPER_WINDOW
+    series: Float[np.ndarray, "*batch ticks channels"],
 ) -> Float[np.ndarray, "*batch windows channels"]:
     """Return the means over adjacent, non-overlapping windows; an incomplete window at the end is
     dropped."""
-    count = series.shape[-2] // window
-    windows = series[..., : count * window, :].astype(np.float64)
-    return np.asarray(
-        windows.reshape(*series.shape[:-2], count, window, series.shape[-1]).mean(axis=-2)
-    )
+    *batch, ticks, channels = series.shape
+    count = ticks // PAPER_WINDOW
+    windows = series[..., : count * PAPER_WINDOW, :].astype(np.float64)
+    return np.asarray(windows.reshape(*batch, count, PAPER_WINDOW, channels).mean(axis=-2))
 
 
-def interval(
-    values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE
-) -> list[float] | None:
+def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
     """Return the interval [low, high] of the mean of independent samples, by Student's t.
 
     Returns None for fewer than `FEWEST` samples, or if all samples are equal, because they are then
@@ -111,7 +101,7 @@ def interval(
         return None
     # mean +- t * s / sqrt(n), with n - 1 degrees of freedom
     half = (
-        float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+        float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     )
     mean = float(np.mean(values))
     return [mean - half, mean + half]

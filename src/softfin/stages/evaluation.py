@@ -119,7 +119,6 @@ def evaluate(
         from softfin.stages.live import evaluate_live
         from softfin.stages.machines import find_robot
 
-        assert out is not None, "checked above"
         keys = KeyboardStop(Arming(arm, yes))
         summary = evaluate_live(
             paths[0],

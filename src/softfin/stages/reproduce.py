@@ -57,50 +57,48 @@ class Preset(NamedTuple):
     """Number of policies trained per kind, from consecutive seeds; intervals are over them."""
 
 
-PRESETS: Mapping[ReproducePreset, Preset] = MappingProxyType(
-    {
-        "paper": Preset(
-            model="paper",
-            # So few actions need more updates per rollout.
-            policies={
-                "single": {
-                    "range": "paper",
-                    "steps": 30_000,
-                    "ppo": {"num_envs": 32, "num_epochs": 8},
-                },
-                "grid": {
-                    "range": "paper",
-                    "steps": 10_000,
-                    "ppo": {"num_envs": 16, "num_epochs": 10},
-                },
+PRESETS: Mapping[ReproducePreset, Preset] = {
+    "paper": Preset(
+        model="paper",
+        # So few actions need more updates per rollout.
+        policies={
+            "single": {
+                "range": "paper",
+                "steps": 30_000,
+                "ppo": {"num_envs": 32, "num_epochs": 8},
             },
-            moving=False,
-            num_seeds=5,
-        ),
-        "demo": Preset(
-            collect={"logs": 10, "test_logs": 1, "rows": 6_000},
-            fit={"members": 3, "drive_updates": 200, "force_updates": 400},
-            policies={"single": {}},
-        ),
-        "tiny": Preset(
-            collect={"logs": 3, "test_logs": 1, "rows": 1500},
-            fit={
-                "members": 2,
-                "drive_updates": 20,
-                "force_updates": 20,
-                "batch": 8,
-                "ticks": 200,
+            "grid": {
+                "range": "paper",
+                "steps": 10_000,
+                "ppo": {"num_envs": 16, "num_epochs": 10},
             },
-            gaits={"spacing_n": 1.7, "survey": {"pushes": 1}, "gaits": {"steps": 2}},
-            policies={
-                "single": {"steps": 960, "num_evaluations": 1},
-                "grid": {"steps": 960, "num_evaluations": 2},
-            },
-            evaluate={"seconds": 6},
-            num_seeds=2,
-        ),
-    }
-)
+        },
+        moving=False,
+        num_seeds=5,
+    ),
+    "demo": Preset(
+        collect={"logs": 10, "test_logs": 1, "rows": 6_000},
+        fit={"members": 3, "drive_updates": 200, "force_updates": 400},
+        policies={"single": {}},
+    ),
+    "tiny": Preset(
+        collect={"logs": 3, "test_logs": 1, "rows": 1500},
+        fit={
+            "members": 2,
+            "drive_updates": 20,
+            "force_updates": 20,
+            "batch": 8,
+            "ticks": 200,
+        },
+        gaits={"spacing_n": 1.7, "survey": {"pushes": 1}, "gaits": {"steps": 2}},
+        policies={
+            "single": {"steps": 960, "num_evaluations": 1},
+            "grid": {"steps": 960, "num_evaluations": 2},
+        },
+        evaluate={"seconds": 6},
+        num_seeds=2,
+    ),
+}
 """``paper``: the paper's full data and budgets, and gaits. ``demo``: a streaming surrogate from ten
 minutes of data, gaits and a single policy, in two minutes. ``tiny``: a check that every stage
 works."""

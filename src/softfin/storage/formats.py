@@ -6,31 +6,28 @@ are checked by name.
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from softfin.core.errors import ArtifactError, InputError, LogError
 
-FOLDERS: Mapping[str, int] = MappingProxyType(
-    {
-        "dataset": 1,
-        "inspection": 1,
-        "surrogate": 1,
-        "controller": 3,
-        "evaluation": 2,
-        "calibration": 1,
-        "reproduction": 1,
-        "robot": 1,
-        "example": 1,
-    }
-)
+FOLDERS: Mapping[str, int] = {
+    "dataset": 1,
+    "inspection": 1,
+    "surrogate": 1,
+    "controller": 3,
+    "evaluation": 2,
+    "calibration": 1,
+    "reproduction": 1,
+    "robot": 1,
+    "example": 1,
+}
 """Formats of folders by kind; a ``KIND.json`` describes the folder."""
 
-FILES: Mapping[str, int] = MappingProxyType({"log": 1, "recording": 1})
+FILES: Mapping[str, int] = {"log": 1, "recording": 1}
 """Formats of single files. Logs (Parquet) store the number in the schema's metadata, recordings
 (MCAP) in the channels' metadata."""
 
-FORMATS: Mapping[str, int] = MappingProxyType({**FOLDERS, **FILES})
+FORMATS: Mapping[str, int] = {**FOLDERS, **FILES}
 """Formats of all artifacts by kind."""
 
 IN_FILE = "softfin_format"

@@ -75,7 +75,7 @@ class RunDirectory:
         run = {"software": _software(), "fingerprint": self.fingerprint}
         artifacts.write_file(
             self.folder / CHECKPOINT,
-            artifacts.encode(_name_tree(tree), {"facts": json.dumps(run | metadata)}),
+            artifacts.encode(name_leaves(tree), {"facts": json.dumps(run | metadata)}),
             FIX,
         )
 
@@ -86,7 +86,7 @@ class RunDirectory:
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
-        expected = _name_tree(like)
+        expected = name_leaves(like)
         # By name, because leaves of the same shape could otherwise be exchanged.
         check_same(path, _describe(arrays), _describe(expected), "start again with --overwrite")
         leaves = [jnp.asarray(arrays[name]) for name in expected]
@@ -172,12 +172,6 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _name_tree(tree: PyTree) -> dict[str, object]:
-    """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
-    of the structure."""
-    return name_leaves({"tree": tree})
-
-
 def _describe(leaves: Mapping[str, object]) -> dict[str, str]:
     """Return the type and shape of each leaf."""
     arrays = {name: np.asarray(leaf) for name, leaf in leaves.items()}
@@ -203,5 +197,5 @@ def name_path(path: tuple[Hashable, ...]) -> str:
 
 
 def name_leaves(tree: PyTree) -> dict[str, object]:
-    """Return the leaves of a pytree by their names."""
+    """Return the leaves of a pytree by their names, in the order of the structure."""
     return {name_path(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}

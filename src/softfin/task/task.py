@@ -23,7 +23,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
 from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
 from softfin.core.quantities import Command, Limits, action_to_command
-from softfin.core.window import sobolev, window_error
+from softfin.core.window import sobolev, window_mean
 from softfin.task.references import ForceBatch, ForcePoint, References
 
 Action = Float[Array, "2"]
@@ -206,7 +206,7 @@ class ForceTracking:
         # The window moves by the valid ticks of this action only.
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, clock.window_ticks)
-        force_error = window_error(forces, samples, state.reference)
+        force_error = window_mean(forces, samples) - state.reference
         terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, reward.sobolev))
         # A chain of keys: each is used once, so that no other action or episode draws the same
         # numbers.
