@@ -15,6 +15,7 @@ from .stages.collect import collect as collect
 from .stages.controllers import export as export
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
+from .stages.doctor import doctor as doctor
 from .stages.evaluation import evaluate as evaluate
 from .stages.example import write_example as write_example
 from .stages.explore import explore as explore

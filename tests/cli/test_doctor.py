@@ -1,8 +1,8 @@
 import pytest
 
-from softfin import doctor
 from softfin.cli import main
 from softfin.rig.device import CheckResult
+from softfin.stages import doctor
 
 
 def test_what_is_wrong_is_a_line_and_the_exit_code(monkeypatch, capsys):

@@ -23,7 +23,7 @@ sys.meta_path.insert(0, Refusing())
 
 import softfin.stages.driving
 import softfin.stages.rig
-import softfin.doctor
+import softfin.stages.doctor
 import softfin.rig.monitor.web
 import softfin.rig.rig
 import softfin.storage.bag.recovery

@@ -34,7 +34,9 @@ GROUPS = {
             "softfin.stages.example:write_example",
             "write a trained surrogate, controllers and a recording",
         ),
-        "doctor": Command("softfin.doctor:doctor", "check this computer and the installation"),
+        "doctor": Command(
+            "softfin.stages.doctor:doctor", "check this computer and the installation"
+        ),
     },
     "Data": {
         "collect": Command(

@@ -178,7 +178,7 @@ def train(
         range: reach: all forces that the fin can produce (default); paper: the paper's.
         clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
             (default: paper, which is 3,2).
-        steps: Number of training actions per policy (default: 200000, or 33000 per cell of a grid).
+        steps: Number of training actions per policy (default: 400000, or 66000 per cell of a grid).
         seed: Seed for weights, exploration and references.
         config: `TrainConfig`; its fields are options too, such as --ppo.num-envs 64.
         resume: Continue from the last checkpoint of an unfinished run.

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from softfin import doctor
 from softfin.core.errors import RunError
 from softfin.installation import EXTRAS
 from softfin.rig.device import CheckResult
+from softfin.stages import doctor
 
 
 def results() -> dict[str, CheckResult]:
