@@ -1,5 +1,4 @@
-"""What softfin needs from a rig's devices: their configurations and readings, and the interface of
-a drive.
+"""Devices of a rig: their configurations and readings, and the interface of a drive.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
 `softfin.devices`. It consists of a configuration and a class that implements `Drive`, or
