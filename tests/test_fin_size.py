@@ -16,6 +16,7 @@ from softfin.control.disturbance_observer import (
     DisturbanceObserverConfig,
     ObserverForces,
 )
+from softfin.control.pytrees import register_controllers
 from softfin.control.references import default_references
 from softfin.evaluation.headline import within
 from softfin.evaluation.scores import SETTLED_N, settled_band, settling_times
@@ -196,6 +197,7 @@ def test_a_bound_has_as_many_decimals_as_the_size_needs() -> None:
 
 def test_force_feedback_is_compiled_with_the_reach_of_its_controller() -> None:
     reachable = circle(PAPER_REACH_N / 10)
+    register_controllers()
     observer = DisturbanceObserver(Carrier(reachable, cells=(reachable.bounding_box(),)))
 
     @jax.jit

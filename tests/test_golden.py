@@ -175,7 +175,7 @@ def test_emulated_rig_is_as_it_was_left(tmp_path: Path, capsys: pytest.CaptureFi
     cli.main(["rig", "check", "--rig", str(tmp_path / "emulated.yaml"), "--json"])
     checks = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
     assert checks["zero"]["state"] == "well"
-    assert checks["angle"]["text"].startswith("+0.480 rad")
+    assert checks["angle"]["text"].startswith("+1.143 rad")
 
 
 def test_references() -> None:

@@ -2,7 +2,7 @@
 
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.ros2 import SimulatedTransport
-from softfin.rig.ros2.connection import BOOL, VECTOR, Transport
+from softfin.rig.ros2.connection import BOOL, Transport
 
 
 def test_messages_reach_the_readers_of_their_topic_and_type_until_the_publisher_leaves():
@@ -12,7 +12,10 @@ def test_messages_reach_the_readers_of_their_topic_and_type_until_the_publisher_
     assert isinstance(ours, Transport)
     publisher = theirs.publish("/stop", BOOL)
     reader = ours.subscribe("/stop", BOOL, depth=2)
-    others = [ours.subscribe("/stop", VECTOR), ours.subscribe("/go", BOOL)]
+    others = [
+        ours.subscribe("/stop", "geometry_msgs/msg/Vector3Stamped"),
+        ours.subscribe("/go", BOOL),
+    ]
     assert publisher.readers() == 1
     assert ours.topics() == {"/stop": BOOL}
     assert theirs.topics() == {}

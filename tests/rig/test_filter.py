@@ -85,8 +85,6 @@ def test_nothing_comes_out_before_the_filter_is_full():
     assert anti_alias.output() is None
     anti_alias.put(np.ones(1))
     assert anti_alias.output() is not None
-    anti_alias.clear()
-    assert anti_alias.output() is None
 
 
 def test_a_short_gap_is_bridged_by_a_line():

@@ -192,7 +192,6 @@ def half(self, state, command, ticks):
         ({"predictions": predicting(series=[])}, r"drive has series of shapes \[\]"),
         ({"predictions": predicting(channels=("speed",))}, "drive has the channels speed"),
         ({"advance_members": half.__get__(GOOD)}, "the mean of advance_members"),
-        ({"member": lambda index: GOOD}, r"member.0. differs"),
         ({"distance": lambda state: np.ones(2)}, r"distance is \[1. 1.\]"),
     ],
 )

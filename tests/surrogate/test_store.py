@@ -74,7 +74,7 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
     ("change", "words"),
     [
         (lambda d: d.update(rate_hz=50), "50 Hz"),
-        (lambda d: d.update(format=99), "format is 99"),
+        (lambda d: d.update(format=99), "format is '99'"),
         (lambda d: d.update(model="oracle"), "surrogate architecture oracle: unknown"),
         (lambda d: d["channels"]["out"].pop(), r"channels .*'force_y_n'"),
         (lambda d: d["networks"]["force"].update(units=4), r"familiarity\.mean has the shape"),
@@ -82,7 +82,10 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         (lambda d: d.update(members="many"), "invalid description of a surrogate"),
         (lambda d: d.pop("scales"), r"invalid description of a surrogate \('scales'\)"),
         (lambda d: d["scales"].update(force_n=-1), "invalid description of a surrogate"),
-        (lambda d: d["networks"]["drive"].update(profile=False), r"networks\.drive: profile"),
+        (
+            lambda d: d["networks"]["drive"].update(profile=False),
+            r"networks\.drive: unknown key 'profile'",
+        ),
         (lambda d: d["limits"].pop("angle_min_rad"), "invalid description of a surrogate"),
         (lambda d: d["limits"].update(angle_min_rad="low"), "invalid description of a surrogate"),
     ],

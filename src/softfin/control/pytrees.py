@@ -7,7 +7,9 @@ import jax
 
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
-from softfin.control.store import CONTROLLER_STEPS
+from softfin.control.gait import GaitStep
+from softfin.control.grid import GridStep
+from softfin.control.single import SingleStep
 
 
 @cache
@@ -17,7 +19,7 @@ def register_controllers() -> None:
 
     The classes cannot do it themselves, because a robot runs them without JAX.
     """
-    for each in (LoadedController, DisturbanceObserver, *CONTROLLER_STEPS.values()):
+    for each in (LoadedController, DisturbanceObserver, SingleStep, GridStep, GaitStep):
         names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}
         for field in dataclasses.fields(each):
             role = next(iter(field.metadata), "leaf")

@@ -5,6 +5,7 @@ A folder contains ``controller.json`` (kind, cells, task, limits, provenance) an
 """
 
 import hashlib
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -35,7 +36,14 @@ CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
 
 
 def load_controller(path: Path) -> LoadedController:
-    """Load the controller from a folder; raises ArtifactError if it is missing or damaged."""
+    """Load the controller from a folder; raises ArtifactError if it is missing or damaged.
+
+    If JAX is already imported, compiled functions can take the controller as an argument.
+    """
+    if "jax" in sys.modules:
+        from softfin.control.pytrees import register_controllers
+
+        register_controllers()
     path = Path(path)
     description, arrays = artifacts.load(path, CONTROLLER_KIND)
     digest = hashlib.sha256((path / artifacts.WEIGHTS).read_bytes()).hexdigest()

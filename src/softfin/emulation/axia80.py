@@ -115,11 +115,6 @@ class EmulatedAxia80:
         """Return its address and ports, as in a rig's file."""
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
 
-    def description(self) -> str:
-        """Return its address and ports."""
-        pages = f"pages at http://{LOOPBACK}:{self.http_port}"
-        return f"{LOOPBACK}, RDT port {self.rdt_port}, {pages}"
-
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for a time [s]; 0 ends the silence."""
         self._silent_until = self._clock() + seconds
@@ -146,12 +141,11 @@ class EmulatedAxia80:
                 request = decode_request(data)
                 with self._lock:
                     if request is not None and self._clock() >= self._silent_until:
-                        command, wanted = request
-                        if command is RdtCommand.STOP:
+                        if request is RdtCommand.STOP:
                             # From any client: there is only one stream, to the latest client.
                             self._stream = None
                         else:
-                            self._stream = _Stream(sender, self._clock(), wanted)
+                            self._stream = _Stream(sender, self._clock())
             with self._lock:
                 now = self._clock()
                 stream = self._stream
@@ -164,8 +158,6 @@ class EmulatedAxia80:
     def _measure(self, stream: "_Stream", now: float) -> list[bytes]:
         """Return the records that are due, all with the current load."""
         due = int((now - stream.began) * self.rate_hz) - stream.sent
-        if stream.wanted:
-            due = min(due, stream.wanted - stream.sent)
         if due <= 0:
             return []
         load = self._felt(now)
@@ -202,8 +194,6 @@ class EmulatedAxia80:
 class _Stream:
     client: tuple[str, int]
     began: float
-    wanted: int
-    """Number of records to send; 0 for an endless stream."""
     sent: int = 0
 
 

@@ -1,79 +1,64 @@
 """Interface of the emulated devices, and how each type is set up and started."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import Limits
 from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.emulation.lines import EmulatedLines
 from softfin.emulation.topic import EmulatedTopic
-from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer
 from softfin.rig.device import DriveConfig, ForceSensorConfig
 from softfin.rig.device_type import DriveType, ForceSensorType
+from softfin.rig.devices.axia80.config import Axia80Config
+from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
+from softfin.rig.devices.ros2.config import TopicSensorConfig
+from softfin.tank import Tank
 
 EMULATED_RATE_HZ = 320.0
 """Rate of the emulated `lines` and `ros2` sensors [Hz]."""
 
 
-class EmulatedDevice(Protocol):
-    """An emulated device, running from construction until `close`."""
+class Emulator(NamedTuple):
+    """How to emulate a type of device.
 
-    def address(self) -> JsonObject:
-        """Return the fields of the device's configuration that lead to this emulator."""
-
-    def description(self) -> str:
-        """Describe the address for the operator."""
-
-    def close(self) -> None:
-        """Stop; may be called repeatedly."""
-
-
-class DriveEmulator(NamedTuple):
-    """How to emulate a type of drive."""
+    Emulators run from construction until `close`. `address()` returns the fields of the device's
+    configuration that lead to it. `remembered()` of a drive returns the state that a power loss
+    would erase, and `recall` restores it.
+    """
 
     values: JsonObject
-    """The configuration, except for the limits."""
-    start: Callable[[Any, BusConfig, EmulatedFin, Computer], EmulatedDevice]
-    """Starts an emulator with a configuration, which turns a fin."""
+    """The configuration, except for a drive's limits."""
+    start: Callable[..., Any]
+    """Starts an emulator with a configuration, a drive's bus, a fin and the computer."""
 
 
-class SensorEmulator(NamedTuple):
-    """How to emulate a type of force sensor."""
-
-    values: JsonObject
-    """The configuration."""
-    start: Callable[[Any, EmulatedFin, Computer], EmulatedDevice]
-    """Starts an emulator with a configuration, which measures a fin's force."""
-
-
-def _start_axia80(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+def _start_axia80(config: Axia80Config, fin: EmulatedFin, clock: Computer) -> EmulatedAxia80:
     # In simulated time, the sensor can use its factory ports, because they exist only within this
     # process.
     rdt_port, http_port = (config.rdt_port, config.http_port) if clock.is_simulated else (0, 0)
     return EmulatedAxia80(fin, rdt_port, http_port, frame=SENSOR_MOUNTING, clock=clock)
 
 
-def _start_lines(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+def _start_lines(config: LinesConfig, fin: EmulatedFin, clock: Computer) -> EmulatedLines:
     udp_port = config.udp_port if clock.is_simulated else None
     return EmulatedLines(fin, config.rate_hz, clock, udp_port=udp_port)
 
 
-def _start_topic(config: Any, fin: EmulatedFin, clock: Computer) -> EmulatedDevice:
+def _start_topic(config: TopicSensorConfig, fin: EmulatedFin, clock: Computer) -> EmulatedTopic:
     # In real time, several emulated rigs may share this computer.
     topic = config.topic if clock.is_simulated else None
     return EmulatedTopic(fin, config.rate_hz, clock, topic=topic)
 
 
 DRIVES = {
-    "epos2": DriveEmulator(
+    "epos2": Emulator(
         {
             "node": 1,
             # 500 lines and a gear ratio of 111:1 match the steps of the tank's encoder.
@@ -83,7 +68,7 @@ DRIVES = {
         },
         lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
     ),
-    "dynamixel": DriveEmulator(
+    "dynamixel": Emulator(
         {"port": "simulated", "model": "XM430-W350", "id": 1},
         lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
     ),
@@ -91,8 +76,8 @@ DRIVES = {
 """Emulated drives, by type."""
 
 SENSORS = {
-    "axia80": SensorEmulator({"address": LOOPBACK}, _start_axia80),
-    "lines": SensorEmulator(
+    "axia80": Emulator({"address": LOOPBACK}, _start_axia80),
+    "lines": Emulator(
         {
             "columns": ["count", "force_x", "force_y"],
             "rate_hz": EMULATED_RATE_HZ,
@@ -102,14 +87,12 @@ SENSORS = {
         },
         _start_lines,
     ),
-    "ros2": SensorEmulator(
+    "ros2": Emulator(
         {"topic": "/emulated/wrench", "rate_hz": EMULATED_RATE_HZ, "filter_delay_s": 0.0},
         _start_topic,
     ),
 }
 """Emulated force sensors, by type."""
-
-Emulator = TypeVar("Emulator", DriveEmulator, SensorEmulator)
 
 
 def find_emulator(emulators: Mapping[str, Emulator], name: str) -> Emulator:
@@ -119,13 +102,11 @@ def find_emulator(emulators: Mapping[str, Emulator], name: str) -> Emulator:
     return emulators[name]
 
 
-def drive_config(
-    name: str, limits: Limits | None, acceleration_rad_s2: float | None, real_time: bool
-) -> DriveConfig:
-    """Return the configuration of an emulated drive with these command limits and this acceleration
-    [rad/s2]; raises RigError or ConfigurationError."""
+def drive_config(name: str, tank: Tank | None, real_time: bool) -> DriveConfig:
+    """Return the configuration of an emulated drive with the command limits and the acceleration of
+    a tank; raises RigError or ConfigurationError."""
     kind = find_device(DriveType, name)
-    acceleration = acceleration_rad_s2 or 80.0
+    acceleration = 80.0 if tank is None else float(tank.drive.acceleration)
     values = find_emulator(DRIVES, name).values | {
         "type": name,
         "acceleration_rad_s2": acceleration,
@@ -133,7 +114,8 @@ def drive_config(
     }
     if real_time:
         values["heartbeat_s"] = 1.0
-    if limits is not None:
+    if tank is not None:
+        limits = tank.limits
         values |= {
             "angle_min_rad": limits.angle_min,
             "angle_max_rad": limits.angle_max,

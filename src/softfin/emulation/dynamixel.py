@@ -86,10 +86,6 @@ class EmulatedServo:
         """Return the port, as in a rig's file."""
         return {"port": self._line.name}
 
-    def description(self) -> str:
-        """Return the port and the ID."""
-        return f"{self._line.name}, ID {self._config.id}"
-
     def remembered(self) -> JsonObject:
         """Return the zero, which a real servo keeps by itself."""
         return {"homing_offset": self.get(protocol.HOMING_OFFSET)}

@@ -39,10 +39,6 @@ class EmulatedLines(EmulatedStream[bytes]):
             return {"address": LOOPBACK, "udp_port": self._udp_port}
         return {"port": self._pty.name, "address": None, "udp_port": None}
 
-    def description(self) -> str:
-        """Return the port."""
-        return ", ".join(f"{name} {value}" for name, value in self.address().items() if value)
-
     def encode(self, age_s: float, wrench: Wrench) -> bytes:
         """Return a line with the next count."""
         self.count = (self.count + 1) % 2**32

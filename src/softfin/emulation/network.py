@@ -5,7 +5,6 @@ import copy
 import itertools
 import socket
 from collections import deque
-from typing import Any
 
 import can
 
@@ -136,7 +135,9 @@ class SimulatedSocket:
         data, _, sender = self._receive()
         return data[:size], sender
 
-    def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[Any], int, Address]:
+    def recvmsg(
+        self, size: int, ancillary: int
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
         """Return a datagram with the wall-clock time of its arrival, as the kernel does."""
         data, wall_s, sender = self._receive()
         seconds, fraction = divmod(wall_s, 1.0)

@@ -71,11 +71,11 @@ class EmulatedRig(contextlib.ExitStack):
         # Not the protocol's type: tests provoke the faults of each emulator.
         self.sensor: Any = find_emulator(SENSORS, sensor).start(self._sensor, self.fin, self.clock)
         self.callback(self.sensor.close)
-        self._drive = _drive_config(drive, tank, real_time=not self.clock.is_simulated)
+        self._drive = drive_config(drive, tank, real_time=not self.clock.is_simulated)
         bus = BusConfig(interface="virtual", channel=self.channel)
         self.drive: Any = find_emulator(DRIVES, drive).start(self._drive, bus, self.fin, self.clock)
         self.callback(self.drive.close)
-        self.server: Any = None
+        self.server: SocketcandServer | None = None
         if not self.clock.is_simulated and self._drive.NEEDS_BUS:
             self.server = self.enter_context(SocketcandServer(self.channel))
 
@@ -88,10 +88,14 @@ class EmulatedRig(contextlib.ExitStack):
 
     def description(self) -> str:
         """Return a description of the rig's addresses."""
-        place = "in this process, " if self.clock.is_simulated else ""
+        place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
-            place = f"socketcand {HOST}:{self.server.port}, "
-        return f"drive: {place}{self.drive.description()}; sensor: {self.sensor.description()}"
+            place = f"socketcand {HOST}:{self.server.port}"
+        drive, sensor = (
+            ", ".join(f"{name} {value}" for name, value in device.address().items() if value)
+            for device in (self.drive, self.sensor)
+        )
+        return f"drive: {place}{drive}; sensor: {sensor}"
 
     def values(self, **changes: object) -> JsonObject:
         """Return the contents of the rig's file, with `changes`."""
@@ -203,7 +207,7 @@ def write_simulated(
     """Write the file of a rig that each command emulates in simulated time; `values` are the
     contents of the tank's file, `drive` and `sensor` the types of its devices."""
     rig = _rig_values(
-        _drive_config(drive, tank, real_time=False),
+        drive_config(drive, tank, real_time=False),
         {"interface": SIMULATED, "channel": "emulated"},
         sensor_config(sensor),
     )
@@ -235,9 +239,3 @@ def _rig_values(drive: DriveConfig, bus: JsonObject, sensor: ForceSensorConfig) 
         "safety": dict(EMULATED_SAFETY),
         "settle_s": 1.0,
     }
-
-
-def _drive_config(drive: str, tank: Tank | None, real_time: bool) -> DriveConfig:
-    limits = None if tank is None else tank.limits
-    acceleration = None if tank is None else float(tank.drive.acceleration)
-    return drive_config(drive, limits, acceleration, real_time)

@@ -17,7 +17,7 @@ from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.machine import Wrench, rotated, rotation
 
 Record = TypeVar("Record")
-"""A line, message or datagram with one wrench."""
+"""Record with one wrench, in the form that is sent."""
 
 LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
 """Noise of each channel by the number of the record [N, N m]; small, so that tests can compare

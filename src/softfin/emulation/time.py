@@ -32,7 +32,7 @@ class _Member:
     """A thread and the condition that it waits for."""
 
     def __init__(self) -> None:
-        self.ready: Callable[[], Any] = lambda: True
+        self.ready: Callable[[], object] = lambda: True
         self.end = math.inf
         self.signal = threading.Lock()
         # Locked until it is this member's turn.

@@ -51,10 +51,6 @@ class EmulatedTopic(EmulatedStream[EmulatedMessage]):
             "connection": connection.model_dump(mode="json", exclude_defaults=True),
         }
 
-    def description(self) -> str:
-        """Return the topic and its domain."""
-        return f"{self.topic} in ROS domain {self._connection.domain_id()}"
-
     def encode(self, age_s: float, wrench: Wrench) -> EmulatedMessage:
         """Return a message."""
         return EmulatedMessage(round((self._started_s + age_s) * SECOND_NS), wrench)

@@ -5,7 +5,7 @@ Emulated devices in simulated time are behind the ports of another one,
 """
 
 import socket
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, one_line
@@ -43,13 +43,15 @@ class UdpSocket(Protocol):
     def sendto(self, data: bytes, address: Address, /) -> int:
         """Send to an address."""
 
-    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
+    def recvfrom(self, size: int, /) -> tuple[bytes, Address]:
         """Return a datagram and its sender."""
 
-    def recvmsg(self, size: int, ancillary: int, /) -> tuple[bytes, list[Any], int, Any]:
+    def recvmsg(
+        self, size: int, ancillary: int, /
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
         """Return a datagram, what the kernel adds to it, flags, and its sender."""
 
-    def getsockname(self) -> Any:
+    def getsockname(self) -> Address:
         """Return the socket's own address."""
 
     def fileno(self) -> int:

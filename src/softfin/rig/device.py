@@ -1,4 +1,4 @@
-"""Devices of a rig: their configurations and readings, and the interface of a drive.
+"""Interface of a rig's drive, and the configurations and readings of drives and force sensors.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
 `softfin.devices`. It consists of a configuration and a class that implements `Drive`, or
@@ -276,9 +276,6 @@ class Drive(Protocol):
 
     def current_limits(self) -> CurrentLimits:
         """Return the open drive's own limits for the motor's current."""
-
-    def own_stop(self) -> str:
-        """Describe the open drive's setting for a missing host, for `softfin rig check`."""
 
     def complaints(self) -> tuple[str, ...]:
         """Return one line per fault as of the latest read, ending with its fix."""

@@ -49,10 +49,6 @@ class AntiAlias:
         self._ring = np.zeros((2 * len(self.taps), channels))
         self._held = 0
 
-    def clear(self) -> None:
-        """Discard all records; the next ones are unrelated to them."""
-        self._held = 0
-
     def bridges(self, missing: int) -> bool:
         """Return whether a gap of `missing` records is bridged; after a longer gap, the filter has
         to refill."""

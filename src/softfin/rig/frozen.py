@@ -1,10 +1,10 @@
 """Detection of sensor channels that no longer change, e.g. because one of two load cells is dead or
 saturated. Without I/O: values in, names of frozen channels out."""
 
-from collections.abc import Collection, Sequence
-
 import numpy as np
 from jaxtyping import Float
+
+from softfin.rig.machine import WRENCH_CHANNELS
 
 FROZEN_RECORDS = 20
 """Minimum number of consecutive equal values that counts as frozen. If the noise of a channel has a
@@ -15,17 +15,14 @@ class FrozenChannels:
     """Counts consecutive equal values per channel, because the other channels usually still change
     if one fails."""
 
-    def __init__(
-        self, channels: Sequence[str], longest: float, optional: Collection[str] = ()
-    ) -> None:
+    def __init__(self, longest: float) -> None:
         """A channel is frozen after `longest` consecutive equal values, but at least
-        `FROZEN_RECORDS`. `optional` channels count only after two different values other than
-        0, because a sensor may not measure them."""
-        self._channels = np.array(channels)
+        `FROZEN_RECORDS`. Channels other than softfin's two forces count only after two different
+        values other than 0, because a sensor may not measure them."""
         self._longest = max(longest, FROZEN_RECORDS)
-        self._is_measured = ~np.isin(self._channels, list(optional))
-        self._values = np.full(len(channels), np.nan)
-        self._equal = np.zeros(len(channels))
+        self._is_measured = np.arange(6) < 2
+        self._values = np.full(6, np.nan)
+        self._equal = np.zeros(6)
 
     def put(self, values: Float[np.ndarray, " channels"]) -> None:
         """Register the values of a record."""
@@ -37,5 +34,4 @@ class FrozenChannels:
     def names(self) -> list[str]:
         """Return the names of the frozen channels."""
         is_frozen = self._is_measured & (self._equal >= self._longest)
-        names: list[str] = self._channels[is_frozen].tolist()
-        return names
+        return [WRENCH_CHANNELS[index] for index in np.flatnonzero(is_frozen)]

@@ -22,7 +22,7 @@ from softfin.rig.device import CheckResult, ForceReading, ForceSensorConfig
 from softfin.rig.filter import BRIDGED_S, AntiAlias, design
 from softfin.rig.frozen import FrozenChannels
 from softfin.rig.lock import DeviceLock
-from softfin.rig.machine import WRENCH_CHANNELS, Wrench, rotated, rotation
+from softfin.rig.machine import Wrench, rotated, rotation
 from softfin.rig.stream_clock import StreamClock
 
 FIRST_WAIT_S = 5.0
@@ -186,9 +186,7 @@ class StreamedSensor:
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
-        longest = self._source.constant_s * self.config.rate_hz
-        # Not every sensor measures more than softfin's two forces.
-        self._frozen = FrozenChannels(WRENCH_CHANNELS, longest, WRENCH_CHANNELS[2:])
+        self._frozen = FrozenChannels(self._source.constant_s * self.config.rate_hz)
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
         self._collected: list[Float[np.ndarray, " 6"]] | None = None

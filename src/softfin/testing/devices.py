@@ -53,10 +53,9 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
     """Raise RigError with the problem and the requirement, unless `drive` meets the contract of
     `Drive`; THE FIN MOVES by 0.2 rad and its zero is set.
 
-    Checks the members, that the drive moves only between `enable` and `stop`, that any thread may
+    Checks that the drive moves only between `enable` and `stop`, that any thread may
     stop it, that it can be closed at any time and opened again, and that it stops by itself.
     """
-    _check_members(drive)
     pace = Pace(clock)
     drive.stop()
     _check_closed(drive)
@@ -66,7 +65,6 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
             if not list(drive.checks()):
                 _fail(drive, "checks yields nothing", "the first line must describe the drive")
             drive.current_limits()
-            drive.own_stop()
             _check_refusal(drive, "before it was enabled")
             drive.zero()
             if abs(drive.read_angle()) > AT_REST_RAD and drive.config.zero_needed:
@@ -91,14 +89,6 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
             _fail(drive, f"stopped by itself after {stopped_after_s:.2f} s", "see heartbeat_s")
     finally:
         drive.close()
-
-
-def _check_members(drive: Drive) -> None:
-    members = [name for name in vars(Drive) if not name.startswith("_")]
-    # `dir`, because a property of a closed device may raise an error.
-    missing = sorted(set(members) - set(dir(drive)))
-    if missing:
-        _fail(drive, f"has no {', '.join(missing)}", "see softfin.rig.device.Drive")
 
 
 def _check_closed(device: Drive | StreamedSensor) -> None:

@@ -35,8 +35,7 @@ def check_plant(plant: Any) -> None:
     of the limits. Also checks that the same state and command produce the same readings (purity),
     that the plant has an identity (`softfin.core.plant_identity`), that holding a command equals
     single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do
-    the same as `advance`, and an optional `true_force` must be finite, work with `jit` and `vmap`,
-    and not change the state.
+    the same as `advance`, and an optional `true_force` must be finite and traceable.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     _raise_first_problem(plant, checks)
@@ -49,7 +48,7 @@ def check_surrogate(surrogate: Any) -> None:
     Checks everything that `check_plant` checks. Also checks that the architecture is found by its
     name, that the surrogate is the same after saving and loading, that `warm` continues a history,
     and that each network of Table I predicts a log. If the surrogate is an `EnsemblePlant`, its
-    readings must be the mean over its members, with a positive interval and a finite distance. The
+    readings must be the mean over its members, with a finite distance. The
     histories and logs are the surrogate's own readings under random commands.
     """
     check_plant(surrogate)
@@ -173,7 +172,7 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
 
 
 def _gradient(plant: Plant) -> Iterator[Problem]:
-    def mean_force(angle: Array) -> Any:
+    def mean_force(angle: Array) -> Array:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
@@ -196,11 +195,6 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         state: State = plant.init(jax.random.key(0))
         after, reading = whole(state, ticks)
         expected_after, expected = plant.advance(state, command, ticks)
-        if jnp.shape(reading.force) != (rows, 2):
-            yield (
-                f"hold_action returns forces of shape {jnp.shape(reading.force)}",
-                f"it must be ({rows}, 2)",
-            )
         pairs = zip(
             jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
             jax.tree.leaves((expected_after, expected.force, expected.angle)),
@@ -242,13 +236,6 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
             yield f"true_force is not finite under {command}", "it must be finite within the limits"
-    # Not compiled, because compilation would hide changes to the state.
-    state = plant.init(jax.random.key(0))
-    before = [np.array(leaf) for leaf in _numbers(state)]
-    plant.true_force(state)
-    after_call = _numbers(state)
-    if len(before) != len(after_call) or not all(map(np.array_equal, before, after_call)):
-        yield "true_force changes the state", "it must only read the state"
 
 
 def _surrogate_members(surrogate: Any) -> Iterator[Problem]:
@@ -317,9 +304,6 @@ def _warm_up(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
             f"{float(reading.time[0]):.2f} s",
             "warm must continue the time of the history",
         )
-    for name, values in reading._asdict().items():
-        if not jnp.isfinite(values).all():
-            yield f"reading.{name} is not finite after warm", "readings must be finite"
     try:
         surrogate.warm(jax.tree.map(lambda x: x[: surrogate.memory - 1], log))
     except LogError:
@@ -341,8 +325,6 @@ def _predictions(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
                 f"predictions: {name} has series of shapes {shapes} for a log of {log.rows} rows",
                 f"there must be one series (rows, {width}) per log, of its last rows",
             )
-        if not np.isfinite(prediction.series[0]).all():
-            yield f"predictions: {name} is not finite", "predictions must be finite"
 
 
 def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
@@ -351,18 +333,9 @@ def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
     state = surrogate.init(jax.random.key(0))
     command = _stroke(surrogate)
     after, members = surrogate.advance_members(state, command, STROKE_TICKS)
-    expected = (surrogate.size, STROKE_TICKS, 2)
-    if members.force.shape != expected:
-        yield (
-            f"advance_members returns forces of shape {members.force.shape}",
-            f"it must be {expected}",
-        )
     _, mean = surrogate.advance(state, command, STROKE_TICKS)
     if not np.allclose(mean.force, members.force.mean(axis=0), rtol=1e-3, atol=1e-4):
         yield "advance differs from the mean of advance_members", "they must be equal"
-    half_width = np.asarray(surrogate.interval.half_width(np.asarray(members.force.mean(axis=1))))
-    if half_width.shape != (2,) or not (half_width > 0).all():
-        yield f"the half width of the interval is {half_width}", "it must be two positive numbers"
     distance = np.asarray(surrogate.distance(after))
     if distance.shape != () or not np.isfinite(distance):
         yield f"distance is {distance}", "it must be a finite number"
@@ -372,11 +345,6 @@ def _types(state: State) -> tuple[Any, list[Any]]:
     """Return the structure of a state, and the shape and type of each leaf."""
     leaves, structure = jax.tree.flatten(state)
     return structure, [(jnp.shape(leaf), jnp.asarray(leaf).dtype) for leaf in leaves]
-
-
-def _numbers(state: State) -> list[Any]:
-    """Return the arrays of a state, without random keys, which have no values to compare."""
-    return [leaf for leaf in jax.tree.leaves(state) if not _is_key(leaf)]
 
 
 def _is_key(leaf: object) -> bool:

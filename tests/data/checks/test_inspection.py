@@ -177,7 +177,7 @@ ALONE = {
     "mirrored velocity": (times(-1, "velocity_rad_s"), "velocity sign", "--negate velocity"),
     "offset": (offset, "force offset", "tare"),
     "still velocity": (still_velocity, "constant velocity", "--columns velocity=-"),
-    "counts": (counts, "counts", "--angles dynamixel --angle-zero 2048"),
+    "counts": (counts, "counts", "convert the counts in the file"),
 }
 """Faults, each with the name of the only issue that it makes, and a part of its fix."""
 
@@ -257,7 +257,7 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
 
     fix = grave(inspected(change))["degrees"]
     assert fix.startswith(
-        "--angles deg; if these integers are encoder counts instead, use --angles dynamixel"
+        "--angles deg; if these integers are encoder counts instead, convert the counts in the file"
     )
 
 

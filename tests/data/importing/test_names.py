@@ -81,14 +81,10 @@ PEOPLE_WRITE = {
     ("time", "ms"): "t/ms; millis; timeMs",
     ("velocity", "rpm"): "dxl_present_velocity_rpm",
     ("command_velocity", None): "profile_velocity; goal_velocity; Profile Velocity",
-    ("force_z", "N"): "Fz [N]",
     ("torque", "Nm"): "Tz [N.m]; torque_nm",
-    ("torque_x", None): "wrench.torque.x",
     ("torque", "mNm"): "motor torque (mNm)",
     ("current", "mA"): "MotorCurrent_mA",
     ("current", None): "present_current; Present Current",
-    ("voltage", "V"): "bus voltage / V",
-    ("voltage", None): "Present Input Voltage; present_input_voltage",
 }
 
 

@@ -4,7 +4,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from softfin.core.errors import LogError, SoftfinError
+from softfin.core.errors import LogError
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
 from tests.data.faulty import tank_logs, to_columns
@@ -206,6 +206,8 @@ def means(recording) -> dict[str, float]:
     }
 
 
+LOADS = "force_z=Fz [N],torque_x=Tx [mNm],torque_y=Ty [mNm]"
+
 WRENCH = {"force_z_n": 2.0, "torque_x_nm": 0.1, "torque_y_nm": 0.2, "torque_nm": 0.3}
 
 
@@ -219,7 +221,7 @@ def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suf
         # Not softfin's own file, whose other columns are all channels.
         table["time [s]"] = table.pop("time_s")
         pq.write_table(pa.table(table), path)
-    (recording,) = read(path)
+    (recording,) = read(path, columns=LOADS)
     assert means(recording) == WRENCH | {"current_a": 0.5}
     read_columns, unread = recording.issues
     assert "torque='Tz [mNm]' in mNm, current='motor current [mA]' in mA" in read_columns.message
@@ -232,8 +234,8 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
     others |= {"torque_nm": np.full(6000, 0.3), "note": ["text"] * 6000}
     table = pa.table(columns | others)
     pq.write_table(table, tmp_path / "own.parquet")
-    (recording,) = read(tmp_path / "own.parquet", keep="temperature_c=Temp", columns="torque=-")
-    assert means(recording) == {"temperature_c": 21.5, "valve": 1.0}
+    (recording,) = read(tmp_path / "own.parquet", columns="torque=-")
+    assert means(recording) == {"Temp": 21.5, "valve": 1.0}
     assert recording.issues[0].message == "columns not read: 'time', 'torque_nm', 'note'"
     pq.write_table(table.drop_columns(["velocity_rad_s"]), tmp_path / "other.parquet")
     (recording,) = read(tmp_path / "other.parquet")
@@ -244,20 +246,12 @@ def test_other_numeric_columns_of_softfins_own_parquet_files_are_its_channels(tm
         read(tmp_path / "doubled.parquet")
 
 
-def test_unknown_columns_are_kept_on_request(tmp_path, columns):
-    write_csv(tmp_path / "run.csv", with_further(columns))
-    (recording,) = read(tmp_path / "run.csv", keep="temperature_c=Temp, valve")
-    assert means(recording) == WRENCH | {"current_a": 0.5, "temperature_c": 21.5, "valve": 1.0}
-    (recording,) = read(tmp_path / "run.csv", keep="torque_nm=torque")
-    assert means(recording)["torque_nm"] == 7.0
-
-
 def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
     write_csv(tmp_path / "run.csv", with_further(columns))
-    (recording,) = read(tmp_path / "run.csv", force="y,-x")
+    (recording,) = read(tmp_path / "run.csv", force="y,-x", columns=LOADS)
     assert means(recording) == WRENCH | {"torque_x_nm": 0.2, "torque_y_nm": -0.1, "current_a": 0.5}
     # A mirrored sensor faces the other way.
-    (recording,) = read(tmp_path / "run.csv", force="y,x", negate="current")
+    (recording,) = read(tmp_path / "run.csv", force="y,x", negate="current", columns=LOADS)
     assert means(recording) == {
         "force_z_n": -2.0,
         "torque_x_nm": 0.2,
@@ -271,91 +265,18 @@ def test_one_torque_of_two_is_not_read(tmp_path, columns):
     table = with_further(columns)
     del table["Ty [mNm]"]
     write_csv(tmp_path / "run.csv", table)
-    (recording,) = read(tmp_path / "run.csv")
+    (recording,) = read(tmp_path / "run.csv", columns="force_z=Fz [N],torque_x=Tx [mNm]")
     assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("torque_y", "keep", "kept"),
-    [([None] * 6000, "", {}), ([0.2] * 6000, "torque_y_nm=torque_y_nm", {"torque_y_nm": 0.2})],
-)
-def test_a_torque_whose_other_axis_is_empty_or_kept_unturned_is_not_read(
-    tmp_path, columns, torque_y, keep, kept
+def test_current_and_torque_are_read_only_with_a_unit_and_a_column_of_text_is_no_channel(
+    tmp_path, columns
 ):
-    table = columns | {"torque_x_nm": np.full(6000, 0.1), "torque_y_nm": torque_y}
-    write_csv(tmp_path / "run.csv", table)
-    (recording,) = read(tmp_path / "run.csv", keep=keep)
-    assert means(recording) == kept
-    assert "'torque_x_nm'" in recording.issues[0].message
-
-
-def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):
     table = columns | {
         "current": np.full(6000, 20.0),
-        "moment": np.full(6000, 5.0),
-        "voltage_v": ["low"] * 6000,
+        "torque": np.full(6000, 5.0),
+        "note_v": ["low"] * 6000,
     }
     write_csv(tmp_path / "run.csv", table)
     (recording,) = read(tmp_path / "run.csv")
     assert means(recording) == {}
-    (recording,) = read(
-        tmp_path / "run.csv", units="current=mA,torque=Ncm", columns="torque=moment"
-    )
-    assert means(recording) == {"torque_nm": 0.05, "current_a": 0.02}
-
-
-@pytest.mark.parametrize(
-    ("option", "text", "named"),
-    [
-        ("keep", "x=Tmp", "'Temp'"),
-        ("keep", "angle_rad=Temp", "angle_rad"),
-        ("units", "torque=lb", "lb"),
-    ],
-)
-def test_wrong_options_for_further_channels_are_refused(tmp_path, columns, option, text, named):
-    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
-    with pytest.raises(SoftfinError, match=named):
-        read(tmp_path / "run.parquet", **{option: text})
-
-
-def registers(columns) -> dict:
-    """The log as ROBOTIS's library reads it: whole, unsigned numbers."""
-    velocity_unit = 0.229 * 2 * np.pi / 60
-
-    def unsigned(values, bits=32):
-        return np.mod(np.round(values).astype(np.int64), 2**bits)
-
-    return {
-        "time [s]": columns["time_s"],
-        "Goal Position": unsigned(2048 + columns["command_angle_rad"] * 4096 / (2 * np.pi)),
-        "Profile Velocity": unsigned(columns["command_velocity_rad_s"] / velocity_unit),
-        "Present Position": unsigned(2048 + columns["angle_rad"] * 4096 / (2 * np.pi)),
-        "Present Velocity": unsigned(columns["velocity_rad_s"] / velocity_unit),
-        "Present Current": unsigned(np.full(6000, -100), 16),
-        "Present Input Voltage": np.full(6000, 121),
-        "force_x_n": columns["force_x_n"],
-        "force_y_n": columns["force_y_n"],
-    }
-
-
-def test_the_registers_of_a_dynamixel_are_read_in_its_units_and_that_of_the_current_is_asked_for(
-    tmp_path, columns
-):
-    write_csv(tmp_path / "run.csv", registers(columns))
-    options = {"angles": "dynamixel", "angle_zero": 2048}
-    (recording,) = read(tmp_path / "run.csv", **options)
-    unread = recording.issues[-1]
-    assert unread.message == "columns not read: 'Present Current', 'Present Input Voltage'"
-    assert "--units current=UNIT" in unread.fix
-    units = "current=XM430-W350,voltage=dynamixel"
-    (recording,) = read(tmp_path / "run.csv", **options, units=units)
-    assert kinds(recording) == ["columns"]
-    assert "angle='Present Position' in dynamixel" in recording.issues[0].message
-    (track,) = recording.tracks
-    channels = track.channels
-    for name in ("command_angle", "angle"):
-        np.testing.assert_allclose(channels[name], columns[f"{name}_rad"], atol=np.pi / 4096 + 1e-6)
-    for name in ("command_velocity", "velocity"):
-        np.testing.assert_allclose(channels[name], columns[f"{name}_rad_s"], atol=0.0121)
-    assert channels["current_a"] == pytest.approx(np.full(6000, -0.269))
-    assert channels["voltage_v"] == pytest.approx(np.full(6000, 12.1))

@@ -77,27 +77,8 @@ def test_a_frame_with_a_long_identifier_is_another_one(bench: CanopenBench) -> N
     assert bench.read(0x6081) == 1000
 
 
-@pytest.mark.parametrize(
-    "entry", [0x20990020, 0x60640010], ids=["no such object", "another length"]
-)
-def test_what_cannot_be_mapped_is_refused(bench: CanopenBench, entry: int) -> None:
-    bench.write(0x1800, 1, 1 << 31, 4)
-    bench.write(0x1A00, 0, 0, 1)
-    assert refused(bench, 0x1A00, 1, entry, 4) == 0x06040041
-
-
 def test_a_mapping_is_not_changed_while_it_is_on_or_counted(bench: CanopenBench) -> None:
     bench.map(0x1800, 1, STATUS)
     assert refused(bench, 0x1A00, 0, 0, 1) == 0x08000022
     bench.write(0x1800, 1, 1 << 31, 4)
     assert refused(bench, 0x1A00, 1, POSITION, 4) == 0x08000022
-
-
-@pytest.mark.parametrize(
-    ("number", "types"), [(0x1800, (0, 2, 241, 255)), (0x1400, (0, 1, 240, 254))]
-)
-def test_other_transmission_types_are_refused(
-    bench: CanopenBench, number: int, types: tuple[int, ...]
-) -> None:
-    for transmission in types:
-        assert refused(bench, number, 2, transmission, 1) == 0x06090030

@@ -47,8 +47,3 @@ def test_a_drive_that_accepts_commands_while_it_is_off_is_refused(bench):
     rig.drive.command = lambda target: None
     with pytest.raises(RigError, match="accepted a command before it was enabled"):
         check_drive(rig.drive, behind.clock)
-
-
-def test_a_drive_without_a_member_is_refused():
-    with pytest.raises(RigError, match=r"object: has no .*stop.*; see softfin\.rig\.device\.Drive"):
-        check_drive(object())

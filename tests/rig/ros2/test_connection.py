@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from softfin.rig.ros2.connection import (
     BOOL,
     CREEP,
-    VECTOR,
     StampClock,
     Subscription,
     decode_ros_message,
@@ -39,7 +38,7 @@ def test_a_wrench_comes_back_as_it_went(wrench):
     assert read_wrench(message) == wrench
 
 
-@given(st.binary(max_size=300), st.sampled_from([JOINT, WRENCH, VECTOR, BOOL]))
+@given(st.binary(max_size=300), st.sampled_from([JOINT, WRENCH, BOOL]))
 def test_any_bytes_are_a_message_or_refused(data, kind):
     told = kind
     try:
@@ -76,13 +75,11 @@ def test_what_is_no_number_is_refused(bad):
         read_reference_message(MESSAGES.wrench(1, "", (0.0, bad, 0.0, 0.0, 0.0, 0.0)), "fin_mount")
 
 
-def test_references_are_of_both_types_and_of_our_frame():
+def test_references_are_of_our_frame():
     wrench = MESSAGES.wrench(1, "fin_mount", (1.0, -2.0, 9.0, 9.0, 9.0, 9.0))
-    vector = MESSAGES.make(
-        VECTOR, MESSAGES.header(1, ""), MESSAGES.make("geometry_msgs/msg/Vector3", 3.0, 4.0, 0.0)
-    )
+    unnamed = MESSAGES.wrench(1, "", (3.0, 4.0, 0.0, 0.0, 0.0, 0.0))
     assert read_reference_message(wrench, "fin_mount") == (1.0, -2.0)
-    assert read_reference_message(vector, "fin_mount") == (3.0, 4.0)
+    assert read_reference_message(unnamed, "fin_mount") == (3.0, 4.0)
     with pytest.raises(ValueError, match="frame is 'fin_mount', expected 'base'"):
         read_reference_message(wrench, "base")
 
@@ -159,17 +156,14 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
     generator = np.random.default_rng(7)
     messages = Messages()
     transport = MemoryTransport()
-    vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
     kinds = {
         JOINT: lambda message: read_joint(message, "fin"),
         WRENCH: read_wrench,
-        VECTOR: lambda message: read_reference_message(message, "fin_mount"),
         BOOL: lambda message: (message.data,),
     }
     whole = {
         JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
         WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
-        VECTOR: messages.make(VECTOR, messages.header(START, "fin_mount"), vector),
         BOOL: messages.make(BOOL, True),
     }
     subscriptions = [

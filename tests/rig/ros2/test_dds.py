@@ -9,7 +9,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, read_joint, read_wrench
+from softfin.rig.ros2.connection import BOOL, read_joint, read_wrench
 from softfin.rig.ros2.plant import open_transport
 from tests import needs
 
@@ -85,7 +85,7 @@ def messages_of(messages):
         yield messages.joint(1, frame, frame, 1.0, -2.0)
         yield messages.wrench(2, frame, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
         yield messages.make(
-            VECTOR,
+            "geometry_msgs/msg/Vector3Stamped",
             messages.header(3, frame),
             messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0),
         )

@@ -9,7 +9,6 @@ from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import VECTOR
 from softfin.rig.ros2.inputs import OnceReporter
 from softfin.rig.ros2.node import RosNode, default_reference_limit
 from softfin.rig.stop import StopRequest
@@ -148,10 +147,8 @@ def test_a_fin_whose_name_cannot_be_in_a_topic_is_refused(name):
 
 
 def test_without_a_timeout_the_newest_is_obeyed_for_ever():
-    node = Node(reference_timeout_s=None, reference_type="vector3")
-    messages = node.transport.messages
-    vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 0.0)
-    node.transport.put("/fin/reference", messages.make(VECTOR, messages.header(0, ""), vector))
+    node = Node(reference_timeout_s=None)
+    node.ask(1.0, 2.0)
     node.now = 1e6
     assert node.node.reference() == (1.0, 2.0)
 

@@ -161,7 +161,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
 
     monkeypatch.setattr(PaperLearner, "start", far_off)
-    with pytest.raises(RunError, match="NaN or infinite; lower learning_rate"):
+    with pytest.raises(RunError, match="NaN or infinite; lower --learning-rate"):
         fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 

@@ -133,7 +133,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
     ("logs", "changes", "words"),
     [
         (LOGS[:1], [], "training logs: found 1"),
-        (LOGS, ["ticks=390"], "training logs: .* 411 .*--set ticks"),
+        (LOGS, ["ticks=390"], "training logs: .* 411 .*--ticks N"),
         ([*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)], [], "held-out logs: .* 210 rows"),
     ],
 )
@@ -147,7 +147,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    with pytest.raises(RunError, match="drive networks is NaN or infinite; lower learning_rate"):
+    with pytest.raises(RunError, match="drive networks is NaN or infinite; lower --learning-rate"):
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 

@@ -193,6 +193,9 @@ def converted(
         result["torque_x"], result["torque_y"] = turned(
             result["torque_x"], result["torque_y"], config.force
         )
+    else:
+        # The torque about one axis alone cannot be turned.
+        result = {name: result[name] for name in result if name not in ("torque_x", "torque_y")}
     # A sensor with x and y mirrored faces the other way, so its z axis is reversed.
     x, y = np.eye(2)
     side = round(float(np.linalg.det(turned(x, y, config.force))))

@@ -82,11 +82,6 @@ class DriveTraits(NamedTuple):
     needs_reset_of_communication: bool = False
     """Whether a communication fault can be reset only after an NMT reset communication, as in an
     EPOS4."""
-    coarse_velocity: bool = False
-    """Whether velocities are measured in whole counts per millisecond: steps of 30 rpm with 500
-    lines."""
-    current_noise_a: float = 0.0
-    """Standard deviation of the measured current [A]."""
 
 
 USUAL = DriveTraits()
@@ -115,15 +110,7 @@ class EmulatedDrive:
         self._node = node(config.node, dictionary(objects, READ_ONLY_OBJECTS | traits.read_only))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
-        velocity_step_rpm = 60_000 // (4 * config.encoder_lines) if traits.coarse_velocity else 1
-        self.motor = motor = EmulatedMotor(
-            fin,
-            Units.of(config),
-            self._value,
-            self.fault,
-            velocity_step_rpm,
-            traits.current_noise_a,
-        )
+        self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
         self.at_limit = False
         """Whether an internal limit is active, e.g. that of the current (bit 11 of the
         statusword)."""
@@ -161,10 +148,6 @@ class EmulatedDrive:
     def address(self) -> JsonObject:
         """Return nothing: the drive is on the rig's bus, under the number in its configuration."""
         return {}
-
-    def description(self) -> str:
-        """Return its number on the bus."""
-        return f"node {self._config.node}"
 
     def remembered(self) -> JsonObject:
         """Return the state that a power loss would erase (the zero), for JSON."""
@@ -341,7 +324,7 @@ class EmulatedDrive:
             elif index == protocol.ERROR_COUNT.number:
                 self._newest_error = 0
             elif 0x1400 <= index < 0x1C00:
-                self._process_data.check(index, subindex, data)
+                self._process_data.check(index, subindex)
 
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():

@@ -4,7 +4,6 @@ fin in counts and rpm.
 Every target takes effect immediately, as requested by our driver; relative targets are ignored.
 """
 
-import random
 from collections.abc import Callable
 
 from softfin.emulation.fin import EmulatedFin
@@ -67,16 +66,11 @@ class EmulatedMotor:
         units: Units,
         value: Callable[[Object], int],
         fault: Callable[[int], None],
-        velocity_step_rpm: int = 1,
-        current_noise_a: float = 0.0,
     ) -> None:
         self._fin = fin
         self._units = units
         self._value = value
         self._fault = fault
-        self._velocity_step_rpm = velocity_step_rpm
-        self._current_noise_a = current_noise_a
-        self._noise = random.Random(0)
         self.power_up()
 
     def power_up(self) -> None:
@@ -116,17 +110,12 @@ class EmulatedMotor:
     @property
     def rpm(self) -> int:
         """Motor velocity [rpm]."""
-        rpm = self._fin.now().velocity * self._units.rpm_per_rad_s
-        return (
-            self._units.direction * self._velocity_step_rpm * round(rpm / self._velocity_step_rpm)
-        )
+        return self._units.direction * round(self._fin.now().velocity * self._units.rpm_per_rad_s)
 
     @property
     def current(self) -> int:
         """Motor current [mA]."""
-        return round(
-            1000 * (self._fin.now().current + self._noise.gauss(0.0, self._current_noise_a))
-        )
+        return round(1000 * self._fin.now().current)
 
     @property
     def is_target_reached(self) -> bool:

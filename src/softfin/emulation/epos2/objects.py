@@ -1,7 +1,7 @@
 """Object dictionary of an emulated EPOS2, and its process data (PDOs).
 
 PDOs are initially disabled and empty. They are sent at every SYNC and applied immediately on
-reception (transmission types 1 and 255); other transmission types are refused.
+reception (transmission types 1 and 255).
 """
 
 from collections.abc import Callable
@@ -44,7 +44,6 @@ _TYPES = {
     "I": od.UNSIGNED32,
 }
 
-CANNOT_BE_MAPPED = 0x06040041
 OUT_OF_RANGE = 0x06090030
 WRONG_STATE = 0x08000022
 """SDO abort codes for refused writes."""
@@ -143,10 +142,9 @@ class ProcessData:
         for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
             self._node.set_data(*part)
 
-    def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
-        """Raise SdoAbortedError if this value must not be written to a PDO object now."""
+    def check(self, index: int, subindex: int) -> None:
+        """Raise SdoAbortedError if a PDO object must not be written now."""
         self.enabled.clear()
-        value = int.from_bytes(data, "little")
         number = index & ~0x200
         if index != number:
             # CiA 301: the mapping may change only while the PDO is disabled, and entries only while
@@ -154,17 +152,6 @@ class ProcessData:
             is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
-            found = (
-                self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF)
-                if subindex
-                else None
-            )
-            if subindex and (found is None or len(found) != value & 0xFF):
-                raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 2 and value != (
-            protocol.ON_SYNC if number >= FIRST_SENT else protocol.AT_ONCE
-        ):
-            raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> dict[int, list[tuple[int, int, int]]]:
         if first not in self.enabled:

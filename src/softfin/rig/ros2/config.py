@@ -72,10 +72,7 @@ class NodeConfig(Configuration):
     command_topic: TopicName = "/fin/command"
     """sensor_msgs/JointState for every new command: angle [rad] and profile velocity [rad/s]."""
     reference_topic: TopicName = "/fin/reference"
-    """Reference force (x, y) [N]."""
-    reference_type: Literal["wrench", "vector3"] = "wrench"
-    """Message type of the reference: geometry_msgs/WrenchStamped or
-    geometry_msgs/Vector3Stamped."""
+    """geometry_msgs/WrenchStamped: reference force (x, y) [N]."""
     stop_topic: TopicName = "/fin/stop"
     """std_msgs/Bool: true stops the fin; false does not cancel the stop."""
     joint_name: str = "fin"

@@ -27,7 +27,6 @@ from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
 
-VECTOR = "geometry_msgs/msg/Vector3Stamped"
 BOOL = "std_msgs/msg/Bool"
 
 DEPTH = 10
@@ -249,11 +248,10 @@ def read_wrench(message: Any) -> Wrench:
 
 
 def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
-    """Return the reference force in a WrenchStamped or a Vector3Stamped; its frame must be ours or
-    empty."""
+    """Return the reference force in a WrenchStamped; its frame must be ours or empty."""
     check_frame(message, frame)
-    vector = message.wrench.force if hasattr(message, "wrench") else message.vector
-    return _finite("x", vector.x), _finite("y", vector.y)
+    force = message.wrench.force
+    return _finite("x", force.x), _finite("y", force.y)
 
 
 def check_frame(message: Any, frame: str) -> None:

@@ -13,7 +13,7 @@ from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, read_reference_message
+from softfin.rig.ros2.connection import Subscription, Transport, read_reference_message
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.session import MeasuredForce
 from softfin.rig.stop import StopRequest
@@ -53,9 +53,8 @@ class RosNode:
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
-        kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
         subscription = Subscription(
-            transport, topics.reference_topic, kind, self._tracked, stamped=False
+            transport, topics.reference_topic, WRENCH_STAMPED, self._tracked, stamped=False
         )
         self._references = NewestReference(
             subscription, topics.reference_timeout_s, clock, self._report_once

@@ -422,22 +422,6 @@ def test_a_fin_whose_voltage_is_taken_coasts_and_one_that_is_stopped_stands() ->
     assert ways[1] < 0.03
 
 
-def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from_its_target_or_a_stop() -> (
-    None
-):
-    with enabled(traits=DriveTraits(coarse_velocity=True, current_noise_a=0.1)) as made:
-        made.drive.command(Target(0.5, 1.0))
-        assert made.until(lambda: made.fin.now().angle > 0.1)
-        rpm = made.drive.units.rpm(made.drive.sync_and_read(0.1).velocity)
-        assert rpm % 30 == 0
-        assert rpm > 0
-        assert made.until(lambda: abs(made.fin.now().angle - 0.5) < 1e-3)
-        currents = {made.drive.sync_and_read(0.1).current for _ in range(5)}
-        assert len(currents) > 1
-        made.drive.stop()
-        assert made.emulated.state is State.SWITCH_ON_DISABLED
-
-
 @pytest.mark.parametrize(
     ("entry", "value", "words"),
     [

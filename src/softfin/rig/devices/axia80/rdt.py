@@ -46,19 +46,17 @@ class RdtRecord(NamedTuple):
     """Fx, Fy, Fz, Tx, Ty, Tz [counts]."""
 
 
-def encode_request(command: RdtCommand, count: int = 0) -> bytes:
-    """Return the datagram for a command; `count` is the number of records, 0 for an endless
-    stream."""
-    return REQUEST.pack(HEADER, command, count)
+def encode_request(command: RdtCommand) -> bytes:
+    """Return the datagram for a command; a stream is endless."""
+    return REQUEST.pack(HEADER, command, 0)
 
 
-def decode_request(datagram: bytes) -> tuple[RdtCommand, int] | None:
-    """Return the command and number of records in a client's datagram; None if it is not a valid
-    request."""
+def decode_request(datagram: bytes) -> RdtCommand | None:
+    """Return the command in a client's datagram; None if it is not a valid request."""
     if len(datagram) != REQUEST.size:
         return None
-    header, command, count = REQUEST.unpack(datagram)
-    return (RdtCommand(command), count) if header == HEADER and command in set(RdtCommand) else None
+    header, command, _ = REQUEST.unpack(datagram)
+    return RdtCommand(command) if header == HEADER and command in set(RdtCommand) else None
 
 
 def encode_record(record: RdtRecord) -> bytes:

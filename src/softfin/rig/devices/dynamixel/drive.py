@@ -354,13 +354,6 @@ class Dynamixel:
         Limit)."""
         return CurrentLimits(None, None)
 
-    def own_stop(self) -> str:
-        """Return the open drive's reaction to a missing host."""
-        return (
-            f"{protocol.BUS_WATCHDOG} is {self.config.watchdog} while the motor is on; the servo "
-            "then holds its position"
-        )
-
     def complaints(self) -> tuple[str, ...]:
         """Return one line per problem, with its fix; empty if there are no problems."""
         if not self._owned:

@@ -224,11 +224,6 @@ class Epos2(Exchange):
             None if continuous_ma is None else continuous_ma / 1000,
         )
 
-    def own_stop(self) -> str:
-        """Return the open drive's reaction to a missing host."""
-        behaviour = procedures.read_optional(self.connection, protocol.LOSS_BEHAVIOUR)
-        return f"{protocol.LOSS_BEHAVIOUR} is {behaviour}"
-
     @property
     def stop_unconfirmed(self) -> str | None:
         """Warning that the motor may still be on after a stop; None if the drive confirmed that it

@@ -7,7 +7,7 @@ read it, the first force after a pause would be an old one that looks new.
 import contextlib
 import socket
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
@@ -32,16 +32,6 @@ class Received(NamedTuple):
     """Whether they come from the configured address."""
 
 
-class Transport(Protocol):
-    """A source of bytes."""
-
-    def read(self) -> Received:
-        """Wait up to `WAIT_S` for bytes and return them; raises OSError if the sensor is gone."""
-
-    def close(self) -> None:
-        """Close; may be called repeatedly."""
-
-
 class SerialTransport:
     """A serial port, opened for this program alone."""
 
@@ -49,7 +39,8 @@ class SerialTransport:
         self._serial = clock.open_serial_port(port, baud, timeout_s=WAIT_S)
 
     def read(self) -> Received:
-        """Return the bytes that have arrived, at least one unless none arrives in time."""
+        """Return the bytes that have arrived, at least one unless none arrives in time; raises
+        OSError if the sensor is gone."""
         return Received(self._serial.read(max(1, self._serial.in_waiting)))
 
     def close(self) -> None:
@@ -90,6 +81,9 @@ class UdpTransport:
         self._socket.close()
 
 
+Transport: TypeAlias = SerialTransport | UdpTransport
+
+
 def open_transport(config: LinesConfig, clock: Computer) -> Transport:
     """Open the port of a sensor; raises DeviceError."""
     if config.port is not None:
@@ -124,11 +118,6 @@ class LineReader:
         self._rest = b""
         self._closing = clock.event()
         self._thread = clock.spawn(self._run, "line sensor")
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` has been called."""
-        return self._closing.is_set()
 
     def close(self) -> None:
         """End the thread and close the transport; may be called repeatedly."""
