@@ -130,7 +130,9 @@ class LoadedController:
         """Return the state before the first action: the fin at rest."""
         return self.step.init()
 
-    def act(self, state: Any, measured: Measured, reference: Any) -> tuple[Any, Command]:
+    def act(
+        self, state: ControllerState, measured: Measured, reference: Array
+    ) -> tuple[ControllerState, Command]:
         """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:

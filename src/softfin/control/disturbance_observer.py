@@ -238,7 +238,7 @@ class DisturbanceObserver:
         )
 
     def act(
-        self, state: DisturbanceObserverState, measured: Measured, reference: Any
+        self, state: DisturbanceObserverState, measured: Measured, reference: Array
     ) -> tuple[DisturbanceObserverState, Command]:
         """Let the inner controller act on the reference minus the estimated bias."""
         ops = select_operations(*measured, reference, state.bias)

@@ -121,7 +121,7 @@ class Chosen:
         self.choose = choose
         """Function that returns the class for the field's values; may raise ValueError."""
 
-    def __call__(self, values: Any) -> Configuration:
+    def __call__(self, values: object) -> Configuration:
         """Return the configuration for a mapping; raises pydantic's ValidationError."""
         if isinstance(values, Configuration):
             return values
@@ -152,7 +152,7 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(one_line(error)) from None
 
 
-def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
+def _merge(base: JsonObject, over: Mapping[str, object]) -> JsonObject:
     return base | {
         key: _merge(base[key], value)
         if isinstance(base.get(key), dict) and isinstance(value, Mapping)
@@ -162,7 +162,7 @@ def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
 
 
 def _explain(
-    cls: type[pydantic.BaseModel], error: pydantic.ValidationError, values: Mapping[str, Any]
+    cls: type[pydantic.BaseModel], error: pydantic.ValidationError, values: Mapping[str, object]
 ) -> str:
     errors = error.errors(include_url=False)
     # A misspelled key also causes a missing one; the misspelled key is the better clue.
