@@ -1,5 +1,7 @@
-"""The command line, ``softfin COMMAND ...``. A command's module is imported only when the command
-runs."""
+"""The command line: ``softfin COMMAND``.
+
+A command's module is imported only when the command runs.
+"""
 
 import contextlib
 import difflib

@@ -1,2 +1,1 @@
-"""Definitions that all packages share: quantities, action clock, plant contract, configuration and
-errors."""
+"""Shared definitions: quantities, action clock, plants, configuration, errors."""

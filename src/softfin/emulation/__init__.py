@@ -1,2 +1,1 @@
-"""Emulated devices that implement the protocols of the drive and the sensor, connected to the
-virtual tank."""
+"""Emulated drives and sensors around the virtual tank, in simulated or real time."""

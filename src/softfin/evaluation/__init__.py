@@ -1,1 +1,1 @@
-"""Experiments with controllers: scores, baselines, figures, report (paper Sec. IV)."""
+"""Experiments: scores, figures, report (paper Sec. IV)."""

@@ -1,1 +1,1 @@
-"""Real time: drive and force sensor, real or emulated; session, safety, recording, monitor."""
+"""Real fins: drives, sensors, session, safety, monitor."""

@@ -1,2 +1,1 @@
-"""Robots with several fins on one body: distribution of a wrench among the fins, as the robot's ROS
-2 node runs it."""
+"""Several fins on one body: the node that distributes a wrench among them."""
