@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softfin.robot import bracing
 from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import RobotConfig
 
@@ -69,34 +70,30 @@ def test_fins_may_die_at_any_moment_one_after_the_other(robot):
                 assert not brace[dead].any()
 
 
-def test_after_a_death_no_bracing_is_kept_that_the_fins_did_not_have(robot):
+def test_after_a_death_no_bracing_is_kept_that_the_fins_did_not_have(robot, monkeypatch):
     count = len(robot.fins)
-    # Nothing changes a bracing that it costs so much to change.
-    stubborn = robot.merged({"allocation": {"brace_change": 1e6}}, "test")
-    free = robot.merged({"allocation": {"brace_change": 0}}, "test")
     rest = np.zeros((count, 2))
     for wrench in drawn_wrenches(robot, 20):
-        before = BracedAllocation(free, [REACH_N] * count)
-        action, brace = before.share(wrench, rest, rest)
+        monkeypatch.setattr(bracing, "BRACE_CHANGE_N2", 0)
+        allocation = BracedAllocation(robot, [REACH_N] * count)
+        action, brace = allocation.share(wrench, rest, rest)
         if not brace[0].any():
             continue
-        allocations = [BracedAllocation(each, [REACH_N] * count) for each in (stubborn, free)]
-        for allocation in allocations:
-            allocation.declare_dead(0)
-        (_, kept), (_, best) = (each.share(wrench, action.forces, brace) for each in allocations)
+        allocation.declare_dead(0)
+        _, best = allocation.share(wrench, action.forces, brace)
+        # Nothing changes a bracing that it costs so much to change.
+        monkeypatch.setattr(bracing, "BRACE_CHANGE_N2", 1e6)
+        _, kept = allocation.share(wrench, action.forces, brace)
         np.testing.assert_allclose(kept, best)
 
 
-def test_a_bracing_that_costs_much_to_change_is_kept(robot):
+def test_a_bracing_that_costs_much_to_change_is_kept(robot, monkeypatch):
     count = len(robot.fins)
-    stubborn, free = (
-        BracedAllocation(
-            robot.merged({"allocation": {"brace_change": cost}}, "test"), [REACH_N] * count
-        )
-        for cost in (1e6, 0)
-    )
+    allocation = BracedAllocation(robot, [REACH_N] * count)
     rest = np.zeros((count, 2))
-    _, brace = free.share(drawn_wrenches(robot, 1)[0], rest, rest)
+    monkeypatch.setattr(bracing, "BRACE_CHANGE_N2", 0)
+    _, brace = allocation.share(drawn_wrenches(robot, 1)[0], rest, rest)
+    monkeypatch.setattr(bracing, "BRACE_CHANGE_N2", 1e6)
     for wrench in drawn_wrenches(robot, 20):
-        _, kept = stubborn.share(wrench, rest, brace)
+        _, kept = allocation.share(wrench, rest, brace)
         np.testing.assert_allclose(kept, brace)

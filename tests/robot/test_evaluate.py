@@ -12,7 +12,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import RATE_HZ
 from softfin.evaluation import experiment
 from softfin.gaits.reachable import Cell
-from softfin.robot import evaluate
+from softfin.robot import bracing, evaluate
 from softfin.robot.evaluate import (
     PART_OF_REACH,
     RobotEvaluateConfig,
@@ -25,8 +25,6 @@ from softfin.robot.evaluate import (
 from softfin.stages.example import EXAMPLE
 from softfin.tank import Tank, TankConfig
 from tests.staged import COARSE
-
-NO_CHANGE = {"allocation": {"brace_n": 0, "smoothing": 0}}
 
 
 @pytest.fixture(scope="module")
@@ -82,9 +80,10 @@ def with_reach(fin, reachable):
 
 @pytest.mark.parametrize("dead", [None, "back_left"])
 def test_fins_that_make_their_references_miss_the_target_by_their_torque(
-    ucat, fin, exact_fins, dead
+    ucat, fin, exact_fins, dead, monkeypatch
 ):
-    robot = ucat.merged(NO_CHANGE, "test")
+    monkeypatch.setattr(bracing, "SMOOTHING", 0)
+    robot = ucat.merged({"allocation": {"brace_n": 0}}, "test")
     config = RobotEvaluateConfig(max_thrust=3.0, targets=4, repeats=2, dead=dead)
     found = evaluate_robot(robot, [with_reach(fin, None)] * 4, config)
     shafts = [np.array(mount.shaft_axis) for name, mount in robot.fins.items() if name != dead]

@@ -22,6 +22,14 @@ SIZES = (0.5, 1.0, 1.5)
 EFFORT = 0.02
 """Cost of a squared force relative to that of a squared shortfall below `brace_n`."""
 
+BRACE_CHANGE_N2 = 1.0
+"""Cost of changing the bracing, which swings fins around, relative to that of a squared force error
+[N2]."""
+
+SMOOTHING = 0.5
+"""Fraction of a change of the forces that is postponed to the next action: a swing spread over two
+actions causes half the disturbance and a delay of half an action."""
+
 SAME_N = 1e-6
 """Force difference below which two bracings are treated as the same [N]."""
 
@@ -60,8 +68,7 @@ class BracedAllocation:
         forces = np.where(self.allocator.reach[:, None] > 0, forces, 0.0)
         brace = self._brace(self.allocator.allocate(wrench, start=forces).forces, brace)
         found = self.allocator.allocate(wrench, brace, forces)
-        smoothing = self._config.smoothing
-        smoothed = smoothing * forces + (1 - smoothing) * found.forces
+        smoothed = SMOOTHING * forces + (1 - SMOOTHING) * found.forces
         return Allocation(smoothed, self.allocator.matrix @ smoothed.ravel(), found.given_up), brace
 
     def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
@@ -99,7 +106,7 @@ class BracedAllocation:
         # Compare forces and not indices: after a fin's death the directions differ, and the current
         # bracing may not be among them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
-        costs[unchanged] -= self._config.brace_change
+        costs[unchanged] -= BRACE_CHANGE_N2
         # Round, so that the first of several equal costs is chosen regardless of differences in the
         # last digits.
         return np.asarray(self._braces[costs.round(6).argmin()])

@@ -74,12 +74,6 @@ class AllocationConfig(Configuration):
     """Minimum force of each fin, as far as the others can cancel it [N]. The direction of a weak
     force jumps with every small change of the wrench, and a fin that swings around pushes sideways.
     0 means no bracing."""
-    brace_change: NonNegativeFloat = 1.0
-    """Cost of changing the bracing, which swings fins around, relative to that of a squared force
-    error [N2]."""
-    smoothing: float = Field(0.5, ge=0, lt=1)
-    """Fraction of a change of the forces that is postponed to the next action: a swing spread over
-    two actions causes half the disturbance and a delay of half an action."""
 
 
 class RobotConfig(Configuration):

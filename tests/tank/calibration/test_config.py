@@ -78,11 +78,11 @@ def test_a_point_becomes_a_tank_and_a_recording():
     assert tank.fin.span_m == TankConfig().fin.span_m
 
 
-def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by_set():
-    dotted = CalibrateConfig().merged(
-        {"parameters": {"fin.span_m": [0.05, 0.2], "fin": {"length_m": None}}}, "file"
+def test_parameters_are_freed_or_fixed_by_a_file_or_by_options():
+    merged = CalibrateConfig().merged(
+        {"parameters": {"fin": {"span_m": [0.05, 0.2], "length_m": None}}}, "file"
     )
-    names = {parameter.name for parameter in list_parameters(dotted.parameters)}
+    names = {parameter.name for parameter in list_parameters(merged.parameters)}
     assert "fin.span_m" in names
     assert "fin.length_m" not in names
     changed = CalibrateConfig().changed(
@@ -97,12 +97,12 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
     ("ranges", "message"),
     [
         (
-            {"fin.lenght_m": (0.1, 0.4)},
+            {"fin": {"lenght_m": (0.1, 0.4)}},
             "unknown parameter 'fin.lenght_m'; did you mean 'fin.length_m'?",
         ),
-        ({"sail.area": (0.1, 0.4)}, "unknown parameter 'sail.area'; did you mean '"),
+        ({"sail": {"area": (0.1, 0.4)}}, "unknown parameter 'sail.area'; did you mean '"),
         (
-            {"fin.length_m": (0.4, 0.1)},
+            {"fin": {"length_m": (0.4, 0.1)}},
             r"parameters.fin.length_m = \[0.4, 0.1\]: use \[low, high\]",
         ),
     ],

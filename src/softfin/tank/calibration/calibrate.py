@@ -114,7 +114,8 @@ def prepared(
     parameters = list_parameters(config.parameters)
     if not parameters:
         raise ConfigurationError(
-            "parameters: all are null; set a range for at least one, e.g. fin.span_m: [0.03, 0.2]"
+            "parameters: all are null; set a range for at least one, e.g. "
+            "fin: {span_m: [0.03, 0.2]}"
         )
     space = Space(parameters, config.tank, config.recording)
     rows = round(config.segment_s * RATE_HZ)

@@ -7,16 +7,15 @@ positive, otherwise linear.
 
 import difflib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
-from softfin.core.json_object import JsonObject
 from softfin.tank import TankConfig
 
 CalibrationRange = tuple[float, float]
@@ -209,20 +208,6 @@ class CalibrateConfig(Configuration):
     velocity_rad_s: CalibrationRange | None = None
     """Range of the velocities that a plant is commanded [rad/s]; null for its limits. Logs contain
     their own commands."""
-
-    @field_validator("parameters", mode="before")
-    @classmethod
-    def _nested(cls, value: object) -> Any:
-        """Convert ``fin.length_m: range`` to ``fin: {length_m: range}``; both forms may be
-        mixed."""
-        if not isinstance(value, dict):
-            return value
-        tree: JsonObject = {}
-        for name, inner in value.items():
-            group, dot, field = name.partition(".")
-            fields = {field: inner} if dot else dict(inner)
-            tree[group] = {**tree.get(group, {}), **fields}
-        return tree
 
     @model_validator(mode="after")
     def _long_enough(self) -> "CalibrateConfig":
