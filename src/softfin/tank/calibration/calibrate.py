@@ -37,7 +37,7 @@ from softfin.tank.calibration.model import FITTED_CHANNELS, Segments, Space, cut
 from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
 
 ChannelScores: TypeAlias = dict[str, dict[str, float]]
-"""``r2``, ``rmse``, means and standard deviations by channel."""
+"""``r2`` and ``rmse`` by channel."""
 
 TRACE_S = 10
 """Plotted duration of a test segment [s]."""
@@ -180,8 +180,7 @@ def calibrate_tank(
 def scores(
     modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments
 ) -> ChannelScores:
-    """Return R2, RMSE, and the mean and standard deviation of the measurement and the model for
-    each channel, pooled over all segments."""
+    """Return R2 and RMSE of each channel, pooled over all segments."""
     rows = {}
     for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
@@ -191,10 +190,6 @@ def scores(
         rows[channel] = {
             "r2": 1 - square / float(np.var(true)),
             "rmse": float(np.sqrt(square)),
-            "mean_measured": float(true.mean()),
-            "mean_modelled": float(predicted.mean()),
-            "std_measured": float(true.std()),
-            "std_modelled": float(predicted.std()),
         }
     return rows
 
