@@ -74,16 +74,12 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "demo": "tests/cli/test_demo.py",
-    "reproduce --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",
-    "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
-    "monitor .": "tests/cli/test_monitor.py",
     "monitor dataset-bags": "tests/cli/test_monitor.py",
-    "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",
     "robot evaluate ucat gaits --plant examples/fins/turning.yaml --max-thrust 3 --out robot": "tests/cli/test_robot.py",
