@@ -19,10 +19,14 @@ import sys
 from pathlib import Path
 from softfin.core.file_lock import lock_file
 lock_file(Path(sys.argv[1]))
+started, starting = os.pipe()
 for _ in sys.argv[2:]:
     if os.fork() == 0:
+        os.write(starting, b"x")
         sys.stdin.read()
         os._exit(0)
+    # The child has left the lock to its parent.
+    os.read(started, 1)
 print("locked", flush=True)
 sys.stdin.read()
 """
