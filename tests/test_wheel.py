@@ -119,7 +119,7 @@ def learner(robot, tmp_path_factory):
     environment.pip_install(wheel())
     told = environment.softfin("collect", "--plant", "tank", "--out", "dataset", code=2).stderr
     assert told.count("\n") == 1
-    assert "missing canopen from the extra 'emulation'; to install it, run pip install " in told
+    assert "missing jax from the extra 'learn'; to install it, run pip install " in told
     program, _, *words = shlex.split(told.partition("to install it, run ")[2])
     assert program == "pip"
     environment.pip_install(*words)
