@@ -18,7 +18,6 @@ DEVICES = {
     "epos2": "softfin.rig.devices.epos2.device:EPOS2",
     "axia80": "softfin.rig.devices.axia80.device:AXIA80",
     "lines": "softfin.rig.devices.lines.device:LINES",
-    "ros2": "softfin.rig.devices.ros2.device:ROS2",
 }
 """softfin's own devices; their modules are imported when they are used."""
 
