@@ -72,24 +72,24 @@ class TankFin:
 
     def halt(self) -> None:
         """Brake along the steepest ramp: move to the angle at which the fin can stop."""
-        with self._lock:
-            self._catch_up()
-            angle = self._after[0]
-            velocity = self._after[1]
-            self.move(
-                # Braking distance: v^2 / (2 a).
-                angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
-                math.inf,
-            )
+        self._come_to_rest(float(self.tank.drive.acceleration), math.inf)
 
     def coast(self) -> None:
         """Move as far as the fin would coast. The tank's drive has a single ramp, so the fin keeps
         its velocity until shortly before the end."""
+        self._come_to_rest(COAST_RAD_S2)
+
+    def _come_to_rest(self, deceleration: float, profile_velocity: float | None = None) -> None:
+        """Move to where the fin stops with a deceleration [rad/s2], by default at its present
+        velocity."""
         with self._lock:
             self._catch_up()
             angle = self._after[0]
             velocity = self._after[1]
-            self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
+            if profile_velocity is None:
+                profile_velocity = abs(velocity)
+            # Braking distance: v^2 / (2 a).
+            self.move(angle + velocity * abs(velocity) / (2 * deceleration), profile_velocity)
 
     def now(self) -> FinMotion:
         """Return the motion and force one sample ago."""

@@ -78,7 +78,7 @@ class RdtSource(RecordSource):
         config = self.config
         clock = self.clock
         self._reset()
-        settings = read_settings(config.address, config.http_port, clock.fetch_page)
+        settings = read_settings(config.address, config.http_port, clock)
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
         # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.
