@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from softfin.core.printable import printable
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
+from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
@@ -170,3 +171,7 @@ class LineSource(RecordSource):
 
     def _shown_example(self) -> str:
         return repr(printable(self._example.decode("ascii", "replace"))[:60])
+
+
+LINES = ForceSensorType(LinesConfig, lines_sensor)
+"""The type `lines`."""
