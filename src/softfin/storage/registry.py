@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from softfin.core.errors import ConfigurationError, PlantError, one_line
 from softfin.storage import artifact as artifacts
@@ -114,7 +114,7 @@ def check_precision() -> None:
     do not compile."""
     import jax
 
-    if jax.config.jax_enable_x64:
+    if cast(Any, jax.config).read("jax_enable_x64"):
         raise ConfigurationError(
             "JAX: jax_enable_x64 is on, but softfin computes in single precision; unset "
             "JAX_ENABLE_X64 or call jax.config.update('jax_enable_x64', False)"
