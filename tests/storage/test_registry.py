@@ -1,5 +1,7 @@
 import sys
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -7,7 +9,7 @@ from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import hold_action
 from softfin.core.quantities import Limits
 from softfin.storage.registry import find_plant, is_live, is_surrogate
-from softfin.surrogate import Surrogate, save_surrogate
+from softfin.surrogate import Surrogate, load_surrogate, save_surrogate
 from softfin.tank import Tank, TankConfig
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, PlainFin
@@ -62,6 +64,12 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
     assert is_surrogate(f"./{name}")
+
+
+@pytest.mark.parametrize("load", [find_plant, lambda _: load_surrogate(Path("surrogate"))])
+def test_double_precision_is_refused(load):
+    with jax.enable_x64(True), pytest.raises(ConfigurationError, match="jax_enable_x64"):
+        load("tank")
 
 
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from softfin.core.errors import PlantError, one_line
+from softfin.core.errors import ConfigurationError, PlantError, one_line
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def find_plant(name: "str | Plant") -> "Plant":
         return name
     from softfin.core.quantities import Limits
 
+    check_precision()
     plant = resolve_plant(name)()
     try:
         problem = Limits(*map(float, plant.limits)).problem()
@@ -106,6 +107,18 @@ def find_plant(name: "str | Plant") -> "Plant":
     if not type(plant).__module__.startswith("softfin."):
         _check_simulator(plant, name)
     return plant
+
+
+def check_precision() -> None:
+    """Raise ConfigurationError if JAX computes in double precision, with which softfin's programs
+    do not compile."""
+    import jax
+
+    if cast(Any, jax.config).read("jax_enable_x64"):
+        raise ConfigurationError(
+            "JAX: jax_enable_x64 is on, but softfin computes in single precision; unset "
+            "JAX_ENABLE_X64 or call jax.config.update('jax_enable_x64', False)"
+        )
 
 
 def _check_simulator(plant: "Plant", name: str) -> None:

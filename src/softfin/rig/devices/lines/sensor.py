@@ -39,10 +39,11 @@ class LineSource(RecordSource):
         self.clock = clock
         self._parser = LineParser(config)
         self._reader: LineReader | None = None
-        self._reset()
+        self.restart()
 
-    def _reset(self) -> None:
-        self.counted.clear()
+    def restart(self) -> None:
+        """Forget the lines so far."""
+        super().restart()
         self._counter = LineCounter(self.config)
         self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
         self._count_s: float | None = None
@@ -61,7 +62,7 @@ class LineSource(RecordSource):
 
     def open(self) -> None:
         """Open the port; raises DeviceError."""
-        self._reset()
+        self.restart()
         transport = open_transport(self.config, self.clock)
         is_serial = self.config.port is not None
         self._reader = LineReader(transport, self.config.rate_hz, self.clock, is_serial)
