@@ -5,12 +5,11 @@ Motion and force are interpolated between samples of 10 ms, so all readings are 
 
 import math
 import threading
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Float, PyTree
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
@@ -109,7 +108,7 @@ class TankFin:
                 )
             return self._latest[1]
 
-    def _plain(self) -> tuple[Any, Command]:
+    def _plain(self) -> tuple[PyTree, Command]:
         """Return state and command, with the random key as plain numbers."""
         return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
 
@@ -126,7 +125,7 @@ class TankFin:
 
 
 @jax.jit
-def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[Any, Any]:
+def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 6"]]:
     """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
     (x, y) as one array."""
     state, reading = tank.advance(state, command, 1)

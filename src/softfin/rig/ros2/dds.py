@@ -255,7 +255,7 @@ class DdsTransport:
         )
 
 
-def _name_participant(participant: Any, key: UUID) -> str:
+def _name_participant(participant: DomainParticipant, key: UUID) -> str:
     """Return the process of another participant, or its number in DDS if it does not send the
     process: only Cyclone DDS does, and DDS does not have the names of ROS 2's nodes."""
     values: dict[str, str] = {}
