@@ -7,8 +7,11 @@ or that depends on more than its fields, states its identity as an attribute.
 """
 
 import dataclasses
+import functools
 import hashlib
+import sys
 from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -51,7 +54,7 @@ def identity(plant: Plant) -> str:
     return f"{name} {digest.hexdigest()[:16]}"
 
 
-def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
+def _parts(value: Any, place: str, plant: str) -> Iterator[bytes]:
     """Yield the place, the type and the content of a value, or those of its members."""
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
@@ -62,26 +65,38 @@ def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
         yield array.tobytes()
         return
     yield f"{place}: {type(value).__qualname__} ".encode()
-    function = getattr(value, "__qualname__", "<")
     if isinstance(value, PLAIN):
         yield repr(value).encode()
-    elif callable(value) and "<" not in function:
-        # A function of a module or a class; a closure depends on more than its name.
-        yield f"{value.__module__}.{function}".encode()
+    elif _is_found_by_name(value):
+        yield f"{value.__module__}.{value.__qualname__}".encode()
     else:
         for name, member in _members(value, place, plant):
             yield from _parts(member, f"{place}.{name}", plant)
 
 
-def _members(value: object, place: str, plant: str) -> Iterable[tuple[object, object]]:
-    """Return the names and values of the members of a container or dataclass."""
+def _is_found_by_name(value: Any) -> bool:
+    """Whether a value is a function or a class that its module contains under its name. A closure,
+    a bound method and a partial function depend on more than their names."""
+    found: object = sys.modules.get(getattr(value, "__module__", None) or "")
+    for name in getattr(value, "__qualname__", "").split("."):
+        found = getattr(found, name, None)
+    return found is value
+
+
+def _members(value: Any, place: str, plant: str) -> Iterable[tuple[object, object]]:
+    """Return the names and values of the members of a container, dataclass or bound method."""
     if isinstance(value, Mapping):
         return sorted(value.items())
     if isinstance(value, BaseModel):
         return iter(value)
     if isinstance(value, tuple | list):
         return enumerate(value)
-    if dataclasses.is_dataclass(value):
+    if hasattr(value, "__self__"):
+        function = getattr(value, "__func__", value.__qualname__)
+        return [("function", function), ("owner", value.__self__)]
+    if isinstance(value, functools.partial):
+        return [("function", value.func), ("arguments", value.args), ("options", value.keywords)]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         computed = getattr(value, "computed", ())
         names = [field.name for field in dataclasses.fields(value)]
         return [(name, getattr(value, name)) for name in names if name not in computed]
