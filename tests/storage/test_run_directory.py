@@ -94,7 +94,7 @@ def test_a_checkpoint_that_cannot_be_resumed_is_refused_and_can_be_discarded(
     if name == "damaged":
         (saved.folder / CHECKPOINT).write_bytes(b"not a checkpoint")
     if name == "other version":
-        monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
+        monkeypatch.setattr(checkpoint, "software_versions", lambda: "softfin 99.1, jax 99.2")
     with pytest.raises(ArtifactError, match="--overwrite"):
         RunDirectory(tmp_path / "out", fingerprint, resume=True)
     anew = RunDirectory(tmp_path / "out", fingerprint, overwrite=True)
@@ -104,8 +104,8 @@ def test_a_checkpoint_that_cannot_be_resumed_is_refused_and_can_be_discarded(
 def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
     tmp_path, saved, monkeypatch
 ):
-    now = checkpoint._software()
-    monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
+    now = checkpoint.software_versions()
+    monkeypatch.setattr(checkpoint, "software_versions", lambda: "softfin 99.1, jax 99.2")
     words = (
         rf"written by {re.escape(now)}, but this is softfin 99.1, jax 99.2; resume with "
         r"that version, or use --overwrite"

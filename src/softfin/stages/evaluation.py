@@ -193,6 +193,6 @@ def _check_evaluation(
     for path in controllers:
         artifacts.find_description(path, "controller")
     if out is not None:
-        artifacts.check_vacant(out, overwrite)
+        artifacts.check_vacant(out, overwrite, kind="evaluation")
     if not is_real:
         check_plant(plant)

@@ -72,7 +72,7 @@ class RunDirectory:
 
     def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
-        run = {"software": _software(), "fingerprint": self.fingerprint}
+        run = {"software": software_versions(), "fingerprint": self.fingerprint}
         artifacts.write_file(
             self.folder / CHECKPOINT,
             artifacts.encode(name_leaves(tree), {"facts": json.dumps(run | metadata)}),
@@ -105,9 +105,9 @@ class RunDirectory:
                 f"{path}: damaged ({error}); start again with --overwrite"
             ) from None
         # The training state and the next random numbers depend on both versions.
-        if software != _software():
+        if software != software_versions():
             raise ArtifactError(
-                f"{path}: written by {software}, but this is {_software()}; resume with that "
+                f"{path}: written by {software}, but this is {software_versions()}; resume with that "
                 "version, or use --overwrite"
             )
         check_same(path, fingerprint, self.fingerprint)
@@ -168,7 +168,8 @@ def read_training_log(path: Path) -> list[JsonObject]:
     return entries
 
 
-def _software() -> str:
+def software_versions() -> str:
+    """Return the versions on which a run depends."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
