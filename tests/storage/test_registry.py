@@ -1,4 +1,5 @@
 import sys
+from pathlib import Path
 
 import jax.numpy as jnp
 import pytest
@@ -62,6 +63,12 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
     assert is_surrogate(f"./{name}")
+
+
+@pytest.mark.parametrize("thing", [3, Path("tank"), None])
+def test_an_object_that_is_not_a_plant_is_refused(thing):
+    with pytest.raises(PlantError, match=rf"plant: a {type(thing).__name__} is not a plant"):
+        find_plant(thing)
 
 
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):

@@ -244,11 +244,10 @@ def _claim(
 def _clear(out: Path, plant: str) -> None:
     """Set a complete run aside, until the new one is complete, or remove an unfinished run."""
     folder = out.resolve()
-    for place in (Path(plant), Path.cwd()):
-        if place.exists() and place.resolve().is_relative_to(folder):
-            raise ArtifactError(
-                f"{out}: contains {place}, which would be replaced too; choose another --out"
-            )
+    if Path(plant).exists() and Path(plant).resolve().is_relative_to(folder):
+        raise ArtifactError(
+            f"{out}: contains the plant {plant}, which would be replaced too; choose another --out"
+        )
     try:
         if (folder / RESULTS).is_file():
             shutil.rmtree(_replaced(out), ignore_errors=True)

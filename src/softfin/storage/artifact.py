@@ -32,6 +32,12 @@ def check_vacant(
 ) -> None:
     """Raise ArtifactError unless a folder can be written to `path`: it must be missing or empty, or
     a softfin folder if `overwrite` is set, of the given kind if there is one."""
+    if Path.cwd().is_relative_to(path.resolve()):
+        # The output replaces the folder, and relative paths would no longer refer to anything.
+        raise ArtifactError(
+            f"{path}: is or contains the current folder, which cannot be replaced; choose another "
+            f"{option}"
+        )
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return

@@ -105,10 +105,11 @@ class RunDirectory:
                 f"{path}: damaged ({error}); start again with --overwrite"
             ) from None
         # The training state and the next random numbers depend on both versions.
-        if software != software_versions():
+        current = software_versions()
+        if software != current:
             raise ArtifactError(
-                f"{path}: written by {software}, but this is {software_versions()}; resume with that "
-                "version, or use --overwrite"
+                f"{path}: written by {software}, but this is {current}; resume with that version, "
+                "or use --overwrite"
             )
         check_same(path, fingerprint, self.fingerprint)
         return arrays, metadata
