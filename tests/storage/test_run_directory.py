@@ -101,6 +101,13 @@ def test_a_checkpoint_that_cannot_be_resumed_is_refused_and_can_be_discarded(
     assert anew.load(STATE) is None
 
 
+def test_a_checkpoint_that_cannot_be_removed_is_not_taken_for_one_of_the_new_run(tmp_path, saved):
+    saved.folder.rename(tmp_path / "disk")
+    saved.folder.symlink_to(tmp_path / "disk")
+    with pytest.raises(RunError, match=r"\.out\.unfinished: cannot be removed "):
+        RunDirectory(tmp_path / "out", {"seed": 0}, overwrite=True)
+
+
 def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
     tmp_path, saved, monkeypatch
 ):

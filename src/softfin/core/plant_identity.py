@@ -11,7 +11,6 @@ import functools
 import hashlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -54,7 +53,7 @@ def identity(plant: Plant) -> str:
     return f"{name} {digest.hexdigest()[:16]}"
 
 
-def _parts(value: Any, place: str, plant: str) -> Iterator[bytes]:
+def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
     """Yield the place, the type and the content of a value, or those of its members."""
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
@@ -65,25 +64,27 @@ def _parts(value: Any, place: str, plant: str) -> Iterator[bytes]:
         yield array.tobytes()
         return
     yield f"{place}: {type(value).__qualname__} ".encode()
+    name = _find_name(value)
     if isinstance(value, PLAIN):
         yield repr(value).encode()
-    elif _is_found_by_name(value):
-        yield f"{value.__module__}.{value.__qualname__}".encode()
+    elif name is not None:
+        yield f"{value.__module__}.{name}".encode()
     else:
-        for name, member in _members(value, place, plant):
-            yield from _parts(member, f"{place}.{name}", plant)
+        for part, member in _members(value, place, plant):
+            yield from _parts(member, f"{place}.{part}", plant)
 
 
-def _is_found_by_name(value: Any) -> bool:
-    """Whether a value is a function or a class that its module contains under its name. A closure,
-    a bound method and a partial function depend on more than their names."""
+def _find_name(value: object) -> str | None:
+    """Return the name under which its module contains a function or a class; None for anything
+    else. A closure, a bound method and a partial function depend on more than their names."""
     found: object = sys.modules.get(getattr(value, "__module__", None) or "")
-    for name in getattr(value, "__qualname__", "").split("."):
-        found = getattr(found, name, None)
-    return found is value
+    name: str = getattr(value, "__qualname__", "")
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return name if found is value else None
 
 
-def _members(value: Any, place: str, plant: str) -> Iterable[tuple[object, object]]:
+def _members(value: object, place: str, plant: str) -> Iterable[tuple[object, object]]:
     """Return the names and values of the members of a container, dataclass or bound method."""
     if isinstance(value, Mapping):
         return sorted(value.items())
@@ -92,7 +93,8 @@ def _members(value: Any, place: str, plant: str) -> Iterable[tuple[object, objec
     if isinstance(value, tuple | list):
         return enumerate(value)
     if hasattr(value, "__self__"):
-        function = getattr(value, "__func__", value.__qualname__)
+        # A method of a built-in type has no function.
+        function = getattr(value, "__func__", getattr(value, "__name__", None))
         return [("function", function), ("owner", value.__self__)]
     if isinstance(value, functools.partial):
         return [("function", value.func), ("arguments", value.args), ("options", value.keywords)]

@@ -121,7 +121,8 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         beside.rename(path)
     except (OSError, ArtifactError) as error:
         if before.exists() and not path.exists():
-            before.rename(path)
+            with contextlib.suppress(OSError):
+                before.rename(path)
         # The result may have taken hours, so it is kept.
         raise RunError(f"{error}; the finished result is in {beside}; rename it") from None
     shutil.rmtree(before, ignore_errors=True)

@@ -68,7 +68,14 @@ class RunDirectory:
                 f"{self.folder}: contains an unfinished run; continue with --resume, or discard it "
                 "with --overwrite"
             )
-        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            if self.folder.exists():
+                shutil.rmtree(self.folder)
+        except OSError as error:
+            # Its checkpoint would be taken for one of this run.
+            raise RunError(
+                f"{self.folder}: cannot be removed ({error.strerror or error}); remove it yourself"
+            ) from None
 
     def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
