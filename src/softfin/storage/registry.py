@@ -91,7 +91,7 @@ def find_plant(name: "str | Plant") -> "Plant":
     """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
     Raises a PlantError that lists the possible names."""
     if not isinstance(name, str):
-        return name
+        return _check_is_plant(name, "plant")
     from softfin.core.quantities import Limits
 
     check_precision()
@@ -187,9 +187,16 @@ def _import_plant(name: str, build: bool = False) -> Any:
         # The user's code may raise any error.
         reason = one_line(error)
         raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; use {HELP}") from error
+    return _check_is_plant(plant, f"plant {name}")
+
+
+def _check_is_plant(plant: object, name: str) -> "Plant":
+    """Return a plant; raises a PlantError for any other object."""
+    from softfin.core.plant import Plant
+
     if not isinstance(plant, Plant):
         raise PlantError(
-            f"plant {name}: a {type(plant).__name__} is not a plant with limits, init and advance; "
-            "run softfin.testing.check_plant to find out what is missing"
+            f"{name}: a {type(plant).__name__} is not a plant with limits, init and advance; run "
+            "softfin.testing.check_plant to find out what is missing, or use the name of a plant"
         )
     return plant
