@@ -41,7 +41,6 @@ TINY = {
     "train --ppo.num-envs": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
-    "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",

@@ -43,7 +43,6 @@ def evaluate(
     strict: bool = False,
     trim: bool = False,
     randomize: float | None = None,
-    error_map: int | None = None,
     random: int | None = None,
     config: Config = None,
     arm: bool = False,
@@ -69,8 +68,6 @@ def evaluate(
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
         randomize: Perturb the tank's parameters in each repetition, by up to this fraction.
-        error_map: Plot the error over the controller's range, at this many references along each
-            side.
         random: Also evaluate this many random references within the reachable part of the training
             range.
         config: `EvaluateConfig`; its fields are options too.
@@ -116,7 +113,6 @@ def evaluate(
         seeds=repeats,
         seed=seed,
         strict=strict or None,
-        error_map=error_map,
         random=random,
     )
     if trim and settings.trim is None:
