@@ -62,6 +62,21 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     assert code == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "can_resume"), [([], False), (["--plant", "rig"], True), (["--plant=ros2"], True)]
+)
+def test_ctrl_c_advises_resume_only_if_the_recording_can_be_continued(
+    capsys, tmp_path, monkeypatch, words, can_resume
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("softfin.stages.collect.check_seed", interrupted)
+    line, code = fails(capsys, "collect", "--out", str(tmp_path / "d"), *words)
+    assert ("--resume" in line) is can_resume
+    assert code == 1
+
+
 def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeypatch):
     def full(*words, **options):
         raise OSError(28, "No space left on device", "train/0000.parquet")

@@ -114,6 +114,15 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_misspelt_option_is_named_although_it_took_the_controller(controller, capsys):
+    for option, nearest in (("--feedbck", ""), ("--trm", "--trim"), ("--sedes", "--seeds")):
+        with pytest.raises(SystemExit):
+            main(["evaluate", option, controller])
+        line = capsys.readouterr().err
+        assert f"{option}: unknown option" in line
+        assert nearest in line
+
+
 def test_a_randomization_is_for_the_tank(controller):
     with pytest.raises(
         ConfigurationError, match=r"--randomize 0.0: requires the virtual tank as plant, got"

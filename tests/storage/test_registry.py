@@ -72,6 +72,21 @@ def test_double_precision_is_refused(load):
         load("tank")
 
 
+@pytest.mark.parametrize("thing", [3, None])
+def test_an_object_that_is_not_a_plant_is_refused(thing):
+    with pytest.raises(PlantError, match=rf"plant: a {type(thing).__name__} is not a plant"):
+        find_plant(thing)
+
+
+def test_a_path_is_a_folder_or_file_and_never_the_name_of_a_plant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlantError, match="does not exist"):
+        find_plant(Path("tank"))
+    save_surrogate(Path("tank"), small.surrogate(), None, {})
+    assert isinstance(find_plant(Path("tank")), Surrogate)
+    assert isinstance(find_plant(tmp_path / "tank"), Surrogate)
+
+
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
     with pytest.raises(PlantError, match=r"contains no surrogate\.json"):
         find_plant(str(tmp_path))

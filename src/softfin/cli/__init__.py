@@ -215,7 +215,7 @@ def _run(name: str, words: list[str]) -> None:
     with contextlib.ExitStack() as until_exit:
         try:
             function = import_function(name)
-            if "resume" in inspect.signature(function).parameters:
+            if "resume" in inspect.signature(function).parameters and _can_resume(name, words):
                 hint = "; run it again with --resume to continue"
             _call(name, function, words, until_exit)
         except KeyboardInterrupt as interrupt:
@@ -228,6 +228,13 @@ def _run(name: str, words: list[str]) -> None:
                 raise
             message, code = _describe_error(error)
             _exit(f"softfin {name}: {message}", code)
+
+
+def _can_resume(name: str, words: Sequence[str]) -> bool:
+    """Whether a stopped command can be continued: simulated motions are recorded again."""
+    from softfin.storage.registry import is_live
+
+    return name != "collect" or any(is_live(word.removeprefix("--plant=")) for word in words)
 
 
 def _call(
@@ -245,7 +252,7 @@ def _call(
         sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
         return
     typed = [word for word in words if word not in ("--json", "--debug")]
-    call = application.parse(function, typed)
+    call = application.parse(function, typed, f"softfin {name}")
     if call.keywords.get("arm"):
         # Imported here, because most commands do not need the rig.
         from softfin.rig.stop import undisturbed_after_stop

@@ -88,6 +88,13 @@ def evaluate(
     check_seed(seed)
     if reference_file is not None:
         check_reference_file(Path(reference_file))
+    if repeats is not None and repeats < 1:
+        raise ConfigurationError(f"--repeats {repeats}: must be at least 1")
+    if not controllers and config is not None:
+        from softfin.evaluation.evaluate import EvaluateConfig
+
+        # The controller may have become the value of a misspelt option.
+        configure(EvaluateConfig(), config)
     paths = list(map(Path, controllers))
     out = None if out is None else Path(out)
     is_real = isinstance(plant, str) and is_live(plant)
@@ -187,12 +194,14 @@ def _check_evaluation(
     if is_real and out is None:
         raise ConfigurationError(f"{plant}: moves in real time; set --out, to keep the recording")
     if not controllers:
-        raise ConfigurationError("missing required CONTROLLER; see --help")
+        raise ConfigurationError(
+            "CONTROLLER: missing; usage: softfin evaluate [OPTIONS] CONTROLLER..."
+        )
     if is_real and len(controllers) > 1:
         raise ConfigurationError(f"{plant}: moves in real time; evaluate one controller at a time")
     for path in controllers:
         artifacts.find_description(path, "controller")
     if out is not None:
-        artifacts.check_vacant(out, overwrite)
+        artifacts.check_vacant(out, overwrite, kind="evaluation")
     if not is_real:
         check_plant(plant)
