@@ -18,15 +18,9 @@ class SimulatedClock(SimulatedTime, Computer):
         return SimulatedBus(self, config.channel)
 
     def open_serial_port(
-        self,
-        port: str,
-        baud: int,
-        *,
-        timeout_s: float,
-        write_timeout_s: float | None = None,
-        exclusive: bool = True,
+        self, port: str, baud: int, *, timeout_s: float, **options: object
     ) -> SerialPort:
-        """Return an end of the serial line with a name."""
+        """Return an end of the serial line with a name; `options` have no effect."""
         return SimulatedSerialPort(self, port, timeout_s)
 
     def udp_socket(self) -> UdpSocket:

@@ -10,7 +10,7 @@ from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.emulation.lines import EmulatedLines
+from softfin.emulation.lines import EMULATED_UDP_PORT, EmulatedLines
 from softfin.rig.computer import Computer
 from softfin.rig.device import DriveConfig, ForceSensorConfig
 from softfin.rig.device_type import DriveType, ForceSensorType
@@ -72,7 +72,7 @@ SENSORS = {
             "rate_hz": 320.0,
             "filter_delay_s": 0.0,
             "address": LOOPBACK,
-            "udp_port": 47_470,
+            "udp_port": EMULATED_UDP_PORT,
         },
         _start_lines,
     ),

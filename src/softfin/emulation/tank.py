@@ -30,8 +30,7 @@ class TankFin:
         self._state: PyTree = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Two steps, so that everything is compiled before the first reading.
-        self._before = self._after = self._step()
-        self._before = self._after
+        self._before = self._step()
         self._after = self._step()
         self._time = clock()
         self._latest: tuple[float, FinMotion] | None = None

@@ -219,38 +219,35 @@ def _kill_program(
 ) -> tuple[float, float]:
     """Run the program until it dies; return its last angle [rad] and the time since its death
     [s]."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", "softfin.rig.prove_moving", str(config.file)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
-            last_angle = swing.until_death(map(_read_angle, process.stdout), ticks)
-        except BaseException:
-            # At the end of its input, the program stops its fin; if it were killed, only the drive
-            # would.
-            process.stdin.close()
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(PROGRAM_STOP_S)
-            raise
-        process.send_signal(number)
-        died = COMPUTER()
-        COMPUTER.sleep(swing.silence_s)
-        # Only the end of a suspended program releases its devices.
-        process.kill()
-        lines = process.stdout.read().splitlines()
-        for line in lines:
-            last_angle = _read_angle(line)
-        return last_angle, COMPUTER() - died
-    finally:
-        process.kill()
-        process.wait()
-        process.stdin.close()
-        process.stdout.close()
+            try:
+                last_angle = swing.until_death(map(_read_angle, process.stdout), ticks)
+            except BaseException:
+                # At the end of its input, the program stops its fin; if it were killed, only the
+                # drive would.
+                process.stdin.close()
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(PROGRAM_STOP_S)
+                raise
+            process.send_signal(number)
+            died = COMPUTER()
+            COMPUTER.sleep(swing.silence_s)
+            # Only the end of a suspended program releases its devices.
+            process.kill()
+            lines = process.stdout.read().splitlines()
+            for line in lines:
+                last_angle = _read_angle(line)
+            return last_angle, COMPUTER() - died
+        finally:
+            process.kill()
 
 
 def _read_angle(line: str) -> float:

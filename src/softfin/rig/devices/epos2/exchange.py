@@ -198,8 +198,8 @@ class Handshake:
             if acknowledged:
                 self.unanswered = 0
             else:
-                self.unanswered = self.unanswered + 1
-                self.repeated = self.repeated + 1
+                self.unanswered += 1
+                self.repeated += 1
                 # Send the unacknowledged target again, unless there is a newer one.
                 self.waiting = self.waiting or self.current
             return True
