@@ -70,7 +70,7 @@ IN_THE_DAY = (
     "run controller --reference=2,0 --arm",
     "map surrogate --out controller",
 )
-"""Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
+"""Commands that need devices, which CI does at emulated ones: examples/rig_day.py."""
 
 ELSEWHERE = {
     "demo": "tests/cli/test_demo.py",

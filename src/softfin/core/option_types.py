@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from softfin.core.configuration import Settings
     from softfin.core.plant import Plant
 
-    PlantLike: TypeAlias = str | Plant
+    PlantLike: TypeAlias = str | Path | Plant
 else:
     # A plant needs JAX, which a command's help must not wait for; what is typed is text.
     PlantLike = Any

@@ -4,12 +4,9 @@ import can
 
 from softfin.core.errors import DeviceError
 from softfin.emulation.network import SimulatedBus, SimulatedSerialPort, SimulatedSocket
-from softfin.emulation.ros2 import SimulatedTransport
 from softfin.emulation.time import SimulatedTime
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer, SerialPort, UdpSocket
-from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import Transport
 
 
 class SimulatedClock(SimulatedTime, Computer):
@@ -46,7 +43,3 @@ class SimulatedClock(SimulatedTime, Computer):
                 "check its power, cable, address and http_port"
             )
         return pages.get(path)
-
-    def open_topics(self, config: TransportConfig) -> Transport:
-        """Connect to topics within this process."""
-        return SimulatedTransport(self)

@@ -52,7 +52,7 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
     if text != AUTO:
         return ActionClock.parse(text)
     stroke_s = None
-    if isinstance(plant, str) and artifacts.is_kind(Path(plant), "surrogate"):
+    if isinstance(plant, str | Path) and artifacts.is_kind(Path(plant), "surrogate"):
         stroke_s = artifacts.load_description(Path(plant), "surrogate").get("stroke_s")
     if stroke_s is None:
         raise ConfigurationError(

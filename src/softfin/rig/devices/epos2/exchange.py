@@ -81,11 +81,7 @@ class DriveStatus:
     @property
     def words(self) -> str:
         """Name of the state for messages."""
-        return (
-            self.state.words
-            if self.state
-            else f"in an unknown state (statusword 0x{self.statusword or 0:04X})"
-        )
+        return protocol.describe_state(self.state, self.statusword or 0)
 
     def has(self, bit: Bit) -> bool:
         """Return whether a bit of the statusword is set."""
