@@ -198,7 +198,7 @@ def _explain(
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     problem = first["msg"]
     if first["type"] == "tuple_type":
-        problem = 'must be a list, such as "[0.5, 1.57]"'
+        problem = "must be a list such as [0.5, 1.57]"
     return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {problem}"
 
 
