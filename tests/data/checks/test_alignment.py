@@ -1,10 +1,14 @@
 import numpy as np
 import pytest
 
-from softfin.data.checks.alignment import command_lag, force_lag, frame_correlations
+from softfin.data.checks.alignment import command_lag, find_force_lag, frame_correlations
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.tank import Tank, TankConfig
 from tests.data.faulty import recorded, tank_logs, to_columns
+
+
+def force_lag(angle, force):
+    return find_force_lag(angle, force).force_lag_ms
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,23 @@
 `LOG_CHECKS`, at the end of this file, lists the checks of a single log.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
-from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
+from softfin.data.checks.alignment import MIN_ALIGNED_S, WINDOW_TICKS, measure_rate
+from softfin.data.checks.signals import (
+    clipped_rows,
+    drift,
+    frozen_runs,
+    repeated_share,
+    roughness,
+    usual_range,
+    velocity_ratio,
+)
 from softfin.data.checks.statistics import (
     REST_RATE_RAD_S,
     LogColumns,
@@ -17,15 +27,17 @@ from softfin.data.checks.statistics import (
     channels_in_counts,
     channels_in_degrees,
     known_lags,
-    true_runs,
-    velocity_slope,
 )
 from softfin.data.importing.clocks import NamedLog
-from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
+from softfin.data.importing.importing import (
+    ANGLES,
+    SIGNED,
+    AngleChannel,
+    ImportConfig,
+    compose_frames,
+)
+from softfin.data.importing.names import RPM, UNITS
 from softfin.data.issues import Issue, Severity, counted
-
-STUCK_S = 1.0
-"""Shortest run of a constant value that is reported [s]."""
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
 """Plausible lags [ms].
@@ -40,9 +52,43 @@ LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
 USUAL_LAG_MS = 30.0
 """Typical value of both lags when the clocks agree [ms]."""
 
-MIN_FRAME_CORRELATION = 0.12
-"""Lowest plausible correlation between the force and a model fin, in the best frame; the noisiest
-of the published networks' logs has 0.2."""
+MIN_FRAME_CORRELATION = 0.2
+"""Lowest plausible correlation between the force and a model fin in the best axes; the noisiest of
+the published networks' logs has 0.31."""
+
+MIN_TURN_DEG = 15
+"""Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
+turned by up to 10 degrees."""
+
+SHAFT_GAIN = 0.03
+"""Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
+
+MIN_DRIFT_S = 30
+"""Shortest log in which a drift is told from the random motion [s]."""
+
+DRIFT_SHARE = 0.8
+"""Largest plausible drift of a force over a log, divided by its standard deviation; good logs of
+30 s have up to 0.73."""
+
+MIN_ROUGHNESS = 0.3
+"""Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
+logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
+
+FIN_LENGTHS_M = (0.03, 1.0)
+"""Lengths of a fin that are plausible from the size of the forces."""
+
+MAX_VELOCITY_RAD_S = 40.0
+"""Commanded velocity above which the unit must be wrong: more than 6 turns per second."""
+
+VELOCITY_UNITS = {"deg": np.pi / 180, "rpm": RPM, "rad": 180 / np.pi}
+"""Units that are suggested for a velocity, by the factor that corrects it. A velocity in rad/s is
+only 57 times too small if it was read as degrees."""
+
+FRAME_TURNS = {"-y,x": 90, "-x,-y": 180, "y,-x": -90, "y,x": 90, "-x,y": 180, "-y,-x": -90}
+"""Rotation [degrees] that is equivalent to a frame, after reversing y if it is a mirror image."""
+
+FIN_DIRECTIONS = {90: "+y", 180: "+x", -90: "-y"}
+"""Direction of a fin whose true angle [degrees] is this."""
 
 OFFSET_SHARE = 0.2
 """Largest plausible mean force on the fin at rest, divided by the standard deviation of the
@@ -50,7 +96,8 @@ force."""
 
 COUNTS_FIX = (
     "convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts per "
-    "turn; convert the velocities from the unit of the drive as well"
+    "turn (360 degrees are usually 4,096 counts; XL-320 and AX: 300 degrees are 1,023 counts); "
+    "convert the velocities from the unit of the drive as well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 
@@ -83,6 +130,16 @@ class CheckedLog(NamedTuple):
         """Return an issue with this log's name."""
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
 
+    @property
+    def moving(self) -> Bool[np.ndarray, "ticks"]:
+        """Rows in which the force must change because the fin moves by more than 0.2 rad/s."""
+        return np.asarray(np.abs(measure_rate(self.calm.angle)) > 0.2)
+
+    @property
+    def force(self) -> Float[np.ndarray, "ticks 2"]:
+        """Both forces [N]."""
+        return np.stack([self.columns.force_x, self.columns.force_y], axis=1)
+
 
 def check_counts(log: CheckedLog) -> Iterator[Issue]:
     """Find angles in encoder counts that were read as radians."""
@@ -106,10 +163,9 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
         values = getattr(log.raw, channel)
         ranges.append(f"{channel} ranges from {values.min():.4g} to {values.max():.4g}")
         are_integers = are_integers and bool((values == np.round(values)).all())
-    option = "deg"
+    fix = "--angles deg"
     if set(wrong) != set(ANGLES):
-        option = ",".join(f"{channel}=deg" for channel in wrong)
-    fix = f"--angles {option}"
+        fix = _angles_option({channel: "deg" for channel in ANGLES if channel in wrong})
     if are_integers:
         fix = f"{fix}; if these integers are encoder counts instead, {COUNTS_FIX}"
     message = f"{'; '.join(ranges)}: these look like degrees, not rad"
@@ -124,10 +180,10 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
         rows = np.flatnonzero(values != calm)
         if rows.size:
             highest = np.abs(values - calm)[rows].max()
-            usual_range = np.ptp(np.percentile(values, [1, 99]))
             message = (
                 f"{counted(rows.size, 'spike')} of up to {highest:.3g} {unit} relative to the "
-                f"neighbouring samples; 98% of all samples lie within a range of {usual_range:.3g}"
+                f"neighbouring samples; 98% of all samples lie within a range of "
+                f"{usual_range(values):.3g}"
             )
             fix = (
                 "check the cable and the sensor's range; repair these samples in the file or "
@@ -157,14 +213,12 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
-    """Find channels that keep one value although they should change."""
+    """Find channels that keep their value although they should change."""
     columns = log.columns
-    # On a fin that moves at 0.2 rad/s the force changes, and a drive that is 0.1 rad away from its
-    # target moves.
-    moving = np.abs(measure_rate(columns.angle)) > 0.2
+    # On a fin that moves the force changes, and a drive that is 0.1 rad away from its target moves.
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
-        driven = moving
+        driven = log.moving
         cause = "the fin is moving"
         if channel == "angle":
             driven = behind
@@ -172,20 +226,19 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         values = getattr(columns, channel)
         runs = []
         total = 0
-        for start, last in true_runs(np.diff(values) == 0):
-            rows = last + 1 - start
+        for start, end in frozen_runs(values):
             # The first 0.2 s are dead time. More than half a second of the run must count as
             # driven, because a blocked drive may push without moving.
-            num_driven = driven[start + round(0.2 * RATE_HZ) : last + 1].sum()
-            if rows >= STUCK_S * RATE_HZ and num_driven > 0.5 * STUCK_S * RATE_HZ:
-                runs.append((rows, -start))
-                total += rows
+            if driven[start + RATE_HZ // 5 : end].sum() > RATE_HZ // 2:
+                runs.append((end - start, -start))
+                total += end - start
         if runs:
             # The first of the longest runs: starts are negated for max().
             longest, start = max(runs)
             message = (
-                f"stuck at {values[-start]:.4g} {unit} for {longest * TICK_S:.2f} s while {cause}; "
-                f"{counted(len(runs), 'such run')}, {total * TICK_S:.2f} s in total"
+                f"stuck at {values[-start]:.4g} {unit}, or within one count of it, for "
+                f"{longest * TICK_S:.2f} s while {cause}; {counted(len(runs), 'such run')}, "
+                f"{total * TICK_S:.2f} s in total"
             )
             fix = "check the sensor and the drive; remove these rows or record again"
             yield log.issue("error", "stuck", channel, message, fix, -start)
@@ -194,28 +247,53 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
 def check_saturation(log: CheckedLog) -> Iterator[Issue]:
     """Find forces that repeatedly stay at their extreme, where the sensor's range ends."""
     for channel in ("force_x", "force_y"):
-        values = getattr(log.columns, channel)
-        # Any series has an extreme; only a clipped one stays there for several samples, repeatedly.
-        for extreme in sorted({float(values.min()), float(values.max())}):
-            runs = []
-            rows = 0
-            for start, end in true_runs(values == extreme):
-                if end - start >= 3:
-                    runs.append((start, end))
-                    rows += end - start
-            if len(runs) >= 2 and 10 <= rows < len(values):
-                message = (
-                    f"clipped at {extreme:.4g} N: {rows:,} samples, in {len(runs):,} runs of at "
-                    "least 3"
-                )
+        for sign in (-1, 1):
+            values = sign * getattr(log.calm, channel)
+            runs = clipped_rows(values, log.moving)
+            if len(runs) >= 2:
+                message = f"clipped at {sign * values.max():.4g} N in {len(runs):,} runs"
                 fix = "select a larger range on the sensor and record again"
                 yield log.issue("warning", "saturated", channel, message, fix, runs[0][0])
 
 
+def check_sensor(log: CheckedLog) -> Iterator[Issue]:
+    """Find forces that were filtered or sampled too slowly, that drift, or that are implausible for
+    any fin, and repeated rows."""
+    column = "force_x, force_y"
+    repeated = repeated_share(log.force, log.moving)
+    repeated_rows = repeated_share(np.column_stack([log.columns.angle, log.force]), log.moving)
+    if repeated > max(0.2, repeated_rows + 0.1):
+        message = (
+            f"repeats the row before in {repeated:.0%} of the rows of the moving fin: about "
+            f"{RATE_HZ * (1 - repeated):.0f} readings per second"
+        )
+        fix = "read the sensor at 100 Hz or faster and record again"
+        yield log.issue("warning", "held force", column, message, fix)
+    elif repeated_rows > 0.05:
+        message = f"{repeated_rows:.0%} of the rows repeat the row before"
+        severity: Severity = "note" if repeated_rows < 0.6 else "warning"
+        fix = "read the sensors once per row"
+        yield log.issue(severity, "repeated rows", "angle", message, fix)
+    elif roughness(log.force) < MIN_ROUGHNESS:
+        message = "low-pass filtered: changes by hardly more than a few hertz"
+        fix = (
+            "switch off the filter of the sensor, its driver or its broadcaster, or set it to 20 "
+            "Hz or more, and record again"
+        )
+        yield log.issue("warning", "filtered force", column, message, fix)
+    low, high = FIN_LENGTHS_M
+    length = log.statistics.fin_length_m
+    if np.ptp(log.columns.angle) > 0.1 and not low < length < high:
+        message = f"forces of this size need a fin of about {length:.2g} m"
+        fix = "if the fin has another size, set --force-unit or convert the columns to N"
+        severity = "warning" if low / 5 < length < 5 * high else "error"
+        yield log.issue(severity, "force size", column, message, fix)
+
+
 def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     """Find a velocity that is not the rate of the angle."""
-    correlation, slope = velocity_slope(log.columns)
-    if slope == 0:
+    correlation, ratio = velocity_ratio(log.calm.angle, log.columns.velocity)
+    if ratio == 0:
         # Many publishers of joint states leave the velocity at 0. A constant velocity is right if
         # the angle changes at that rate. One sample in a hundred may be a spike.
         velocity = log.columns.velocity[0]
@@ -224,7 +302,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
             fix = "use --columns velocity=- to derive it from the angle"
             yield log.issue("error", "constant velocity", "velocity", message, fix)
         return
-    message = f"velocity is {slope:.3g} times the angle's rate (correlation {correlation:.2f})"
+    message = f"velocity is {ratio:.3g} times the angle's rate (correlation {correlation:.2f})"
     if correlation < -0.5:
         yield log.issue(
             "error",
@@ -237,9 +315,55 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
         fix = "map another column, or use --columns velocity=- to derive it from the angle"
         message = f"{message}: probably not the fin's velocity"
         yield log.issue("warning", "velocity", "velocity", message, fix)
-    elif not 0.5 < slope < 2:
-        fix = "set its unit, e.g. --angles velocity=deg for a factor of 57, or map another column"
-        yield log.issue("error", "velocity unit", "velocity", f"{message}: wrong unit", fix)
+    elif not 0.95 < ratio < 1.05:
+        fix = _unit_option(log.config, "velocity", 1 / ratio) or (
+            "check the clock, because a loop that is slower than its stamps has such a ratio, and "
+            "the velocity's unit"
+        )
+        severity: Severity = "warning" if 0.5 < ratio < 2 else "error"
+        yield log.issue(severity, "velocity unit", "velocity", message, fix)
+
+
+def check_speed(log: CheckedLog) -> Iterator[Issue]:
+    """Find commanded velocities at which the fin does not move."""
+    column: AngleChannel = "command_velocity"
+    ratio = log.statistics.speed_ratio
+    highest = float(np.percentile(log.columns.command_velocity, 99))
+    severity: Severity = "error"
+    if ratio is None:
+        if highest > MAX_VELOCITY_RAD_S:
+            message = f"reaches {highest:.3g} rad/s, too fast for a fin"
+            fix = f"set the unit: --angles {column}=deg, or {column}=rpm if the drive uses rpm"
+            yield log.issue("error", "command velocity unit", column, message, fix)
+        return
+    if 0.9 < ratio < 1.1:
+        return
+    message = f"the fin moves at {ratio:.3g} times the commanded velocity"
+    fix = _unit_option(log.config, column, ratio) or ""
+    if not fix:
+        if 0.05 < ratio < 20 and highest < MAX_VELOCITY_RAD_S:
+            severity = "warning"
+        fix = (
+            "compare the column with the drive's manual and the clock with the loop's rate; if "
+            f"only the unit is wrong, multiply the column by {ratio:.3g}"
+        )
+        # 10-bit counts read as 12-bit counts, alone or with the velocities of such a drive.
+        if 0.27 < ratio < 0.31 or 0.135 < ratio < 0.15:
+            fix = f"{fix}; if the angles are 10-bit counts, 1,023 of them are 300 degrees"
+    name = "speed" if severity == "warning" else "command velocity unit"
+    yield log.issue(severity, name, column, message, fix)
+
+
+def _unit_option(config: ImportConfig, channel: AngleChannel, factor: float) -> str | None:
+    """Return the option for the unit that makes a velocity larger by this factor, or None."""
+    for unit, expected in VELOCITY_UNITS.items():
+        if 0.93 < factor / expected < 1.07:
+            return _angles_option(dict(config.angles) | {channel: unit})
+    return None
+
+
+def _angles_option(angles: Mapping[AngleChannel, str]) -> str:
+    return "--angles " + ",".join(f"{channel}={unit}" for channel, unit in angles.items())
 
 
 def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
@@ -275,9 +399,7 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         if _is_mirrored(log.statistics):
             column = "angle"
             message = f"{message}, and the force fits the mirrored angle"
-        # The complete new value of the option: a channel that is already negated is removed.
-        names = [name for name in SIGNED if (name in log.config.negate) != (name == column)]
-        fix = f"--negate {','.join(names)}" if names else "remove --negate"
+        fix = _negate_option(log.config, [column])
         yield log.issue("error", "command sign", column, message, fix)
     elif following < 0.3:
         message = f"the angle hardly follows its command: correlation {following:.2f} after 150 ms"
@@ -286,42 +408,137 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
-    """Find force axes that are swapped or negated, and a force that is unrelated to the motion."""
-    frames = log.statistics.frames
-    if frames is None or (log.statistics.following < -0.3 and _is_mirrored(log.statistics)):
+    """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
+    a force that is unrelated to the motion."""
+    column = "force_x, force_y"
+    found = log.statistics
+    frames = found.frames
+    if frames is None or is_clock_off(found) or (found.following < -0.3 and _is_mirrored(found)):
         return
-    best = max(frames, key=frames.__getitem__)
     given = frames["x,y"]
-    if frames[best] > max(given + 0.1, MIN_FRAME_CORRELATION):
-        message = (
-            f"axes swapped or negated: the correlation with the force of a model fin is "
-            f"{given:.2f} as recorded and {frames[best]:.2f} as {best}"
-        )
-        fix = f"--force={compose_frames(log.config.force, best)}"
-        yield log.issue("error", "force axes", "force_x, force_y", message, fix)
-    elif given < MIN_FRAME_CORRELATION:
-        message = (
-            f"the force is almost unrelated to the motion: correlation {given:.2f} with the force "
-            "of a model fin"
-        )
+    frame = max(frames, key=frames.__getitem__)
+    message = f"correlation with the force of a model fin {given:.2f} as recorded"
+    severity: Severity = "error" if found.correlation > given + 0.1 else "warning"
+    if found.correlation < MIN_FRAME_CORRELATION:
+        message = f"the force is almost unrelated to the motion: {message}"
         fix = "check the clocks, and check that force and angle are from the same experiment"
-        yield log.issue("warning", "unexplained force", "force_x, force_y", message, fix)
+        yield log.issue("warning", "unexplained force", column, message, fix)
+    elif found.shaft_correlation > found.correlation + SHAFT_GAIN:
+        message = f"{message}, {found.shaft_correlation:.2f} if the sensor turns with the shaft"
+        fix = (
+            "turn the forces in the file back by the angle a: x cos(a) + y sin(a), "
+            "y cos(a) - x sin(a); or fix the sensor to the mount and record again"
+        )
+        yield log.issue("error", "shaft frame", column, message, fix)
+    elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > frames[frame] + 0.02:
+        turn = found.turn_deg
+        message = f"{message}, {found.correlation:.2f} turned by {turn} degrees"
+        fix = (
+            f"turn the forces in the file by a = {turn} degrees: x cos(a) - y sin(a), "
+            "x sin(a) + y cos(a)"
+        )
+        if found.frame == "x,y":
+            fix = (
+                f"if the fin points along -x at angle 0, {fix}; otherwise "
+                f"{_angle_zero_option(log.config, -turn)}"
+            )
+        else:
+            message = f"{message} and read as {found.frame}"
+            fix = f"{fix}; then use --force={compose_frames(log.config.force, found.frame)}"
+        yield log.issue(severity, "turned force", column, message, fix)
+    elif frames[frame] > given + 0.1:
+        message = f"axes swapped or negated: {message}, {frames[frame]:.2f} as {frame}"
+        fix = f"{_force_option(log.config, frame)}{_other_reading(log.config, frame)}"
+        yield log.issue("error", "force axes", column, message, fix)
+
+
+def _other_reading(config: ImportConfig, frame: str) -> str:
+    """Return the options that explain the force as well as a frame does, and how to decide."""
+    if frame == "x,-y":
+        return (
+            f"; if positive angles turn the fin towards -y instead, "
+            f"{_negate_option(config, ('command_angle', 'angle'))}"
+        )
+    turn = FRAME_TURNS[frame]
+    zero = _angle_zero_option(config, -turn)
+    if frame in ("y,x", "-x,y", "-y,-x"):
+        zero = f"{_force_option(config, 'x,-y')} and {zero}"
+    return f"; if the fin points along {FIN_DIRECTIONS[turn]} at angle 0 instead, {zero}"
+
+
+def _force_option(config: ImportConfig, frame: str) -> str:
+    return f"--force={compose_frames(config.force, frame)}"
+
+
+def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
+    # The complete new value of the option: a channel that is already negated is removed.
+    changed = [name for name in SIGNED if (name in config.negate) != (name in names)]
+    return f"--negate {','.join(changed)}" if changed else "remove --negate"
+
+
+def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
+    """Return the option that makes a recorded angle the new angle 0."""
+    if "angle" in config.negate:
+        degrees = -degrees
+    unit = config.angles.get("angle")
+    if unit is not None:
+        zero = config.angle_zero + np.radians(degrees) / UNITS["angle"][unit]
+        return f"--angle-zero {zero:.4g}"
+    return (
+        f"--angle-zero {config.angle_zero + degrees:.4g} (for angles in rad, "
+        f"{config.angle_zero + np.radians(degrees):.4g})"
+    )
+
+
+def is_clock_off(found: LogStatistics) -> bool:
+    """Return whether only a lag beyond 0.2 s explains the force. In good logs of 10 s and more, a
+    far lag explains at most 3% more than a near one, by chance."""
+    return found.far_share > found.force_share + 0.1
+
+
+def check_force_clock(log: CheckedLog) -> Iterator[Issue]:
+    """Find a force whose clock is off, always or at times."""
+    found = log.statistics
+    column = "force_x, force_y"
+    fix = "synchronize the clocks, or stamp sensor and drive on one computer, and record again"
+    if is_clock_off(found):
+        message = (
+            "no lag within 0.2 s explains the force: the motion explains "
+            f"{found.force_share:.0%} of its variance"
+        )
+        # In a short log, some wrong lag explains 70%.
+        if found.far_share > 0.75:
+            message += f", {found.far_share:.0%} at a lag of {found.far_lag_ms / 1e3:.1f} s"
+        yield log.issue("error", "force clock", column, message, fix)
+    elif found.late_force_s:
+        stretches = ", ".join(
+            f"{start:.0f} to {start + WINDOW_TICKS * TICK_S:.0f} s" for start in found.late_force_s
+        )
+        message = f"another lag than in the rest of the log: {stretches}"
+        yield log.issue(
+            "error", "changing lag", column, message, fix, round(found.late_force_s[0] * RATE_HZ)
+        )
 
 
 def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
-    """Find a non-zero force while the fin is at rest."""
+    """Find a force that is not zero while the fin is at rest, or that drifts."""
     found = log.statistics
-    for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
-        if abs(offset) > OFFSET_SHARE * deviation:
-            message = (
-                f"{offset:+.2g} N while the fin is at rest; the standard deviation over the log is "
-                f"{deviation:.2g} N"
-            )
-            fix = (
-                "tare the sensor in still water before each log, or subtract this offset from the "
-                "column"
-            )
-            yield log.issue("warning", "force offset", f"force_{axis}", message, fix)
+    fix = "tare the sensor in still water before each log, or subtract this offset from the column"
+    for axis, deviation in zip(AXES, found.force_std_n, strict=True):
+        column = f"force_{axis}"
+        change = drift(getattr(log.calm, column))
+        of_deviation = f"the standard deviation over the log is {deviation:.2g} N"
+        is_long = len(log.force) >= MIN_DRIFT_S * RATE_HZ
+        if is_long and abs(change) > DRIFT_SHARE * deviation:
+            message = f"drifts by {change:+.2g} N over the log; {of_deviation}"
+            drift_fix = "let the sensor warm up, or subtract the drift from the column"
+            yield log.issue("warning", "force drift", column, message, drift_fix)
+        elif (
+            found.offset_n
+            and abs(offset := found.offset_n[AXES.index(axis)]) > OFFSET_SHARE * deviation
+        ):
+            message = f"{offset:+.2g} N while the fin is at rest; {of_deviation}"
+            yield log.issue("warning", "force offset", column, message, fix)
 
 
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
@@ -372,28 +589,50 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
             )
 
 
+def check_angle_zero(
+    logs: Sequence[NamedLog], are_axes_wrong: bool, config: ImportConfig
+) -> Iterator[Issue]:
+    """Find training commands that do not contain angle 0: an error if the force does not fit the
+    angles either."""
+    training = [one.log for one in logs if one.part == "train"]
+    if not training:
+        return
+    limits = command_limits(training)
+    # Larger values are not in radians; check_degrees and check_counts report that.
+    is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
+    if not is_in_radians or limits.angle_min == limits.angle_max or limits.rest_angle == 0:
+        return
+    message = (
+        f"the commanded angles range from {limits.angle_min:.3g} to "
+        f"{limits.angle_max:.3g} rad and do not include 0"
+    )
+    if are_axes_wrong:
+        centre = np.degrees(limits.angle_min + limits.angle_max) / 2
+        quarter = 90 * round(centre / 90)
+        if abs(centre - quarter) < 10:
+            centre = quarter
+        message += ", and the force does not fit these angles"
+        fix = (
+            f"{_angle_zero_option(config, centre)} if the fin points along -x in the middle of "
+            "its range; then inspect again"
+        )
+        yield Issue("error", "angle zero", "all logs", message, fix, "command_angle")
+    else:
+        fix = (
+            f"if the fin cannot point along -x, ignore this: its experiments start at "
+            f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
+            "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
+        )
+        yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
+
+
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Find a dataset without test logs, and training commands that do not contain angle 0 or that
-    cover too little of their own range."""
+    """Find a dataset without test logs, and training commands that cover too little of their own
+    range."""
     if not any(one.part == "test" for one in logs):
         fix = "select some with --test PATTERN, or put them into a folder named test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
     training = [one.log for one in logs if one.part == "train"]
-    if training:
-        limits = command_limits(training)
-        # Larger values are not in radians; check_degrees and check_counts report that.
-        is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
-        if is_in_radians and limits.angle_min < limits.angle_max and limits.rest_angle != 0:
-            message = (
-                f"the commanded angles range from {limits.angle_min:.3g} to "
-                f"{limits.angle_max:.3g} rad and do not include 0"
-            )
-            fix = (
-                f"if the fin cannot point along -x, ignore this: its experiments start at "
-                f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
-                "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
-            )
-            yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
     steps = []
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)
@@ -422,9 +661,12 @@ LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_jumps,
     check_stuck,
     check_saturation,
+    check_sensor,
     check_velocity,
     check_commanded_velocity,
+    check_speed,
     check_following,
+    check_force_clock,
     check_force_axes,
     check_force_offset,
 )

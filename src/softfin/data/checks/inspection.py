@@ -12,12 +12,15 @@ from softfin.data.checks.alignment import MIN_ALIGNED_S
 from softfin.data.checks.checks import (
     LOG_CHECKS,
     CheckedLog,
+    check_angle_zero,
     check_counts,
     check_dataset,
     check_following,
     check_force_axes,
     check_lags,
+    check_speed,
 )
+from softfin.data.checks.signals import without_spikes
 from softfin.data.checks.statistics import (
     LogColumns,
     LogStatistics,
@@ -25,7 +28,6 @@ from softfin.data.checks.statistics import (
     known_lags,
     measure,
     to_columns,
-    without_spikes,
 )
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
@@ -124,8 +126,14 @@ def inspect(
         pooled = CheckedLog(joined, joined, joined, together, config)
         found += check_following(pooled)
         found += check_force_axes(pooled)
+        found += check_speed(pooled)
         found += check_lags([together], config)
-    issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
+    about_axes = [issue for issue in found if issue.name in ("force axes", "turned force")]
+    zero = list(check_angle_zero(logs, bool(about_axes), config))
+    if zero and about_axes:
+        # The right axes depend on the zero of the angle.
+        found = [issue for issue in found if issue not in about_axes]
+    issues = [*zero, *found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 
 
