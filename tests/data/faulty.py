@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import yaml
 
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command, Log, Reading
@@ -14,7 +15,9 @@ from softfin.data.excitation import ExcitationConfig
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.simulate import simulate
 from softfin.storage.log_file import SCHEMA
-from softfin.tank import Tank
+from softfin.tank import Tank, TankConfig
+
+FINS = Path(__file__).parents[2] / "examples" / "fins"
 
 ROWS = 6000
 
@@ -22,13 +25,17 @@ Columns = dict[str, np.ndarray]
 
 
 @functools.cache
-def _five() -> tuple[Log, ...]:
-    return recorded(Tank(), 5, ROWS)
+def _five(fin: str) -> tuple[Log, ...]:
+    values = {}
+    if fin != "tank":
+        values = yaml.safe_load((FINS / f"{fin}.yaml").read_text())
+    return recorded(Tank(TankConfig(**values)), 5, ROWS)
 
 
-def tank_logs(count: int = 2) -> tuple[Log, ...]:
-    """Of the default tank, under random commands; at most five. Do not change their arrays."""
-    return _five()[:count]
+def tank_logs(count: int = 2, fin: str = "tank") -> tuple[Log, ...]:
+    """Of the default tank or of a fin in the examples, under random commands; at most five. Do not
+    change their arrays."""
+    return _five(fin)[:count]
 
 
 def cut(log: Log, start: int, end: int) -> Log:

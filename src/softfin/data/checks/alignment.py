@@ -135,17 +135,20 @@ def explained_shares(
     features = features - features.mean(axis=0)
     features = features / (features.std(axis=0) + 1e-12)
     # With an orthonormal basis B of the space that the features span, they explain the share
-    # |B^T f|^2 / |f|^2 of a force f: one matrix product per lag instead of one fit.
+    # |B^T f|^2 / |f|^2 of a force f: one product per lag instead of one fit.
     sizes, vectors = np.linalg.eigh(features.T @ features)
     kept = sizes > 1e-9 * sizes[-1]
     basis = features @ (vectors[:, kept] / np.sqrt(sizes[kept]))
-    smooth = np.stack([smoothed(axis) for axis in force.T], axis=1)
+    ones = np.ones(len(basis))
     explained = np.zeros(2 * ticks + 1)
-    for index in range(len(explained)):
-        part = smooth[index : index + len(basis)]
-        part = part - part.mean(axis=0)
-        explained[index] = ((basis.T @ part) ** 2).sum() / ((part**2).sum() + 1e-12)
-    return explained
+    total = np.full(2 * ticks + 1, 1e-12)
+    for axis in force.T:
+        smooth = smoothed(axis - axis.mean())
+        for vector in basis.T:
+            explained += np.correlate(smooth, vector, "valid") ** 2
+        total += np.correlate(smooth**2, ones, "valid")
+        total -= np.correlate(smooth, ones, "valid") ** 2 / len(ones)
+    return explained / total
 
 
 def find_late_windows(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> list[int]:

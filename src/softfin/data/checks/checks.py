@@ -286,7 +286,7 @@ def check_sensor(log: CheckedLog) -> Iterator[Issue]:
     if np.ptp(log.columns.angle) > 0.1 and not low < length < high:
         message = f"forces of this size need a fin of about {length:.2g} m"
         fix = "if the fin has another size, set --force-unit or convert the columns to N"
-        severity = "warning" if low / 5 < length < 5 * high else "error"
+        severity = "warning" if low / 2.5 < length < 2.5 * high else "error"
         yield log.issue(severity, "force size", column, message, fix)
 
 
@@ -418,7 +418,6 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     given = frames["x,y"]
     frame = max(frames, key=frames.__getitem__)
     message = f"correlation with the force of a model fin {given:.2f} as recorded"
-    severity: Severity = "error" if found.correlation > given + 0.1 else "warning"
     if found.correlation < MIN_FRAME_CORRELATION:
         message = f"the force is almost unrelated to the motion: {message}"
         fix = "check the clocks, and check that force and angle are from the same experiment"
@@ -445,7 +444,7 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
         else:
             message = f"{message} and read as {found.frame}"
             fix = f"{fix}; then use --force={compose_frames(log.config.force, found.frame)}"
-        yield log.issue(severity, "turned force", column, message, fix)
+        yield log.issue("error", "turned force", column, message, fix)
     elif frames[frame] > given + 0.1:
         message = f"axes swapped or negated: {message}, {frames[frame]:.2f} as {frame}"
         fix = f"{_force_option(log.config, frame)}{_other_reading(log.config, frame)}"
