@@ -141,7 +141,7 @@ FAULTS = {
         "filtered force",
         "switch off",
     ),
-    "sensor at 10 Hz": (of_forces(held), "warning", "held force", "100 Hz"),
+    "sensor at 10 Hz": (of_forces(held), "warning", "repeated values", "100 Hz"),
     "clipped": (of_forces(clipped_and_averaged), "warning", "saturated", "larger range"),
     "frozen": (of_forces(frozen), "error", "stuck", "remove these rows"),
     "single samples": (of_forces(with_zeros_and_doubles), "error", "spikes", "repair"),
@@ -182,7 +182,7 @@ FAULTS = {
         "multiply the column by 0.024",
     ),
     "10-bit counts": (times("angle_rad", 0.293), "warning", "speed", "1,023"),
-    "repeated rows": (repeated, "note", "repeated rows", "once per row"),
+    "repeated rows": (repeated, "note", "repeated values", "once per row"),
 }
 
 
@@ -216,8 +216,7 @@ def test_a_clock_that_is_off_gets_no_advice_about_axes_or_lags(ticks, fin):
 
 def test_times_of_late_stretches_are_told():
     issue = found(faulty(late_at_times))["changing lag"]
-    assert "12 to 18 s" in issue.message
-    assert "42 to 48 s" in issue.message
+    assert "the 6 s from 12, 42 s" in issue.message
 
 
 def shifted(degrees: float) -> Fault:
@@ -233,14 +232,14 @@ def test_the_zero_of_the_angle_comes_before_the_axes(degrees):
     # Servos are often at 90 degrees in their centre.
     issues = found(faulty(shifted(degrees)))
     assert next(iter(issues)) == "angle zero"
-    assert issues["angle zero"].fix.startswith(f"--angle-zero {degrees} ")
+    assert issues["angle zero"].fix.endswith(f"--angle-zero {degrees} (deg)")
     assert "force axes" not in issues
 
 
 def test_an_angle_zero_in_a_known_unit_is_one_number():
     columns = faulty(shifted(90))
     config = ImportConfig(angles={"angle": "deg", "command_angle": "deg"}, angle_zero=5)
-    assert found(columns, config=config)["angle zero"].fix.startswith("--angle-zero 95 if")
+    assert found(columns, config=config)["angle zero"].fix.endswith("--angle-zero 95 (deg)")
 
 
 def test_an_angle_zero_off_by_20_degrees_and_a_turned_sensor_are_both_listed():
@@ -250,13 +249,12 @@ def test_an_angle_zero_off_by_20_degrees_and_a_turned_sensor_are_both_listed():
 
 
 @pytest.mark.parametrize(
-    ("quarters", "frame", "zero", "direction"),
-    [(1, "y,-x", 90, "-y"), (2, "-x,-y", -180, "+x"), (3, "-y,x", -90, "+y")],
+    ("quarters", "frame", "zero"), [(1, "y,-x", 90), (2, "-x,-y", -180), (3, "-y,x", -90)]
 )
-def test_axes_and_angle_zero_explain_a_quarter_turn_equally(quarters, frame, zero, direction):
+def test_axes_and_angle_zero_explain_a_quarter_turn_equally(quarters, frame, zero):
     fix = found(faulty(turned(90 * quarters)))["force axes"].fix
     assert fix.startswith(f"--force={frame};")
-    assert f"along {direction} at angle 0" in fix
+    assert f"at {-zero} degrees where the log has 0" in fix
     assert f"--angle-zero {zero} " in fix
     # That is so: the other reading makes the log good, but for the range of the commands.
     assert "force axes" not in found(

@@ -274,8 +274,8 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
 
 def test_messages_hold_the_numbers():
     assert "angle ranges from -8" in message(inspected(degrees), "degrees")
-    assert "lags the angle by 7" in message(inspected(late_force), "force lag")
-    assert "angle leads its command by 19 ms" in message(inspected(late_command), "command lag")
+    assert message(inspected(late_force), "force lag").startswith("7")
+    assert message(inspected(late_command), "command lag").startswith("-19 ms from command")
     assert "correlation with the force of a model fin 0.0" in message(inspected(swap), "force axes")
     assert message(inspected(spikes), "spikes").startswith("3 spikes of up to 30")
     assert "for 4.0" in message(inspected(stuck_force), "stuck")

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
-from softfin.data.checks.alignment import MIN_ALIGNED_S, WINDOW_TICKS, measure_rate
+from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.signals import (
     clipped_rows,
     drift,
@@ -63,6 +63,10 @@ turned by up to 10 degrees."""
 SHAFT_GAIN = 0.03
 """Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
 
+OFFSET_SHARE = 0.2
+"""Largest plausible mean force on the fin at rest, divided by the standard deviation of the
+force."""
+
 MIN_DRIFT_S = 30
 """Shortest log in which a drift is told from the random motion [s]."""
 
@@ -77,22 +81,16 @@ logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
 FIN_LENGTHS_M = (0.03, 1.0)
 """Lengths of a fin that are plausible from the size of the forces."""
 
-MAX_VELOCITY_RAD_S = 40.0
+FASTEST_DRIVE_RAD_S = 40.0
 """Commanded velocity above which the unit must be wrong: more than 6 turns per second."""
 
 VELOCITY_UNITS = {"deg": np.pi / 180, "rpm": RPM, "rad": 180 / np.pi}
 """Units that are suggested for a velocity, by the factor that corrects it. A velocity in rad/s is
 only 57 times too small if it was read as degrees."""
 
-FRAME_TURNS = {"-y,x": 90, "-x,-y": 180, "y,-x": -90, "y,x": 90, "-x,y": 180, "-y,-x": -90}
-"""Rotation [degrees] that is equivalent to a frame, after reversing y if it is a mirror image."""
-
-FIN_DIRECTIONS = {90: "+y", 180: "+x", -90: "-y"}
-"""Direction of a fin whose true angle [degrees] is this."""
-
-OFFSET_SHARE = 0.2
-"""Largest plausible mean force on the fin at rest, divided by the standard deviation of the
-force."""
+FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
+MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
+"""Rotations [degrees] that are equivalent to a frame, the latter after reversing y."""
 
 COUNTS_FIX = (
     "convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts per "
@@ -134,11 +132,6 @@ class CheckedLog(NamedTuple):
     def moving(self) -> Bool[np.ndarray, "ticks"]:
         """Rows in which the force must change because the fin moves by more than 0.2 rad/s."""
         return np.asarray(np.abs(measure_rate(self.calm.angle)) > 0.2)
-
-    @property
-    def force(self) -> Float[np.ndarray, "ticks 2"]:
-        """Both forces [N]."""
-        return np.stack([self.columns.force_x, self.columns.force_y], axis=1)
 
 
 def check_counts(log: CheckedLog) -> Iterator[Issue]:
@@ -218,27 +211,21 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     # On a fin that moves the force changes, and a drive that is 0.1 rad away from its target moves.
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
-        driven = log.moving
-        cause = "the fin is moving"
-        if channel == "angle":
-            driven = behind
-            cause = "the command differs from it"
+        driven = behind if channel == "angle" else log.moving
         values = getattr(columns, channel)
         runs = []
-        total = 0
         for start, end in frozen_runs(values):
             # The first 0.2 s are dead time. More than half a second of the run must count as
             # driven, because a blocked drive may push without moving.
             if driven[start + RATE_HZ // 5 : end].sum() > RATE_HZ // 2:
                 runs.append((end - start, -start))
-                total += end - start
         if runs:
             # The first of the longest runs: starts are negated for max().
             longest, start = max(runs)
+            cause = "the command differs from it" if channel == "angle" else "the fin is moving"
             message = (
                 f"stuck at {values[-start]:.4g} {unit}, or within one count of it, for "
-                f"{longest * TICK_S:.2f} s while {cause}; {counted(len(runs), 'such run')}, "
-                f"{total * TICK_S:.2f} s in total"
+                f"{longest * TICK_S:.2f} s while {cause}; {counted(len(runs), 'such run')}"
             )
             fix = "check the sensor and the drive; remove these rows or record again"
             yield log.issue("error", "stuck", channel, message, fix, -start)
@@ -256,25 +243,22 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
                 yield log.issue("warning", "saturated", channel, message, fix, runs[0][0])
 
 
-def check_sensor(log: CheckedLog) -> Iterator[Issue]:
-    """Find forces that were filtered or sampled too slowly, that drift, or that are implausible for
-    any fin, and repeated rows."""
+def check_force_sensor(log: CheckedLog) -> Iterator[Issue]:
+    """Find forces that repeat, that were filtered, or that are implausible for any fin."""
     column = "force_x, force_y"
-    repeated = repeated_share(log.force, log.moving)
-    repeated_rows = repeated_share(np.column_stack([log.columns.angle, log.force]), log.moving)
-    if repeated > max(0.2, repeated_rows + 0.1):
+    force = log.columns.force
+    repeated = repeated_share(force, log.moving)
+    rows = min(repeated, repeated_share(log.columns.angle, log.moving))
+    if repeated > 0.1:
+        # A fit hardly suffers from rows that are repeated as a whole.
+        severity: Severity = "note" if repeated < min(rows + 0.1, 0.6) else "warning"
         message = (
-            f"repeats the row before in {repeated:.0%} of the rows of the moving fin: about "
-            f"{RATE_HZ * (1 - repeated):.0f} readings per second"
+            f"{repeated:.0%} of the rows of the moving fin repeat the force, and {rows:.0%} the "
+            f"angle as well: about {RATE_HZ * (1 - repeated):.0f} readings per second"
         )
-        fix = "read the sensor at 100 Hz or faster and record again"
-        yield log.issue("warning", "held force", column, message, fix)
-    elif repeated_rows > 0.05:
-        message = f"{repeated_rows:.0%} of the rows repeat the row before"
-        severity: Severity = "note" if repeated_rows < 0.6 else "warning"
-        fix = "read the sensors once per row"
-        yield log.issue(severity, "repeated rows", "angle", message, fix)
-    elif roughness(log.force) < MIN_ROUGHNESS:
+        fix = "read the sensor once per row, at 100 Hz or faster, and record again"
+        yield log.issue(severity, "repeated values", column, message, fix)
+    elif roughness(force) < MIN_ROUGHNESS:
         message = "low-pass filtered: changes by hardly more than a few hertz"
         fix = (
             "switch off the filter of the sensor, its driver or its broadcaster, or set it to 20 "
@@ -284,44 +268,44 @@ def check_sensor(log: CheckedLog) -> Iterator[Issue]:
     low, high = FIN_LENGTHS_M
     length = log.statistics.fin_length_m
     if np.ptp(log.columns.angle) > 0.1 and not low < length < high:
+        severity = "warning" if low / 2.5 < length < 2.5 * high else "error"
         message = f"forces of this size need a fin of about {length:.2g} m"
         fix = "if the fin has another size, set --force-unit or convert the columns to N"
-        severity = "warning" if low / 2.5 < length < 2.5 * high else "error"
         yield log.issue(severity, "force size", column, message, fix)
 
 
 def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     """Find a velocity that is not the rate of the angle."""
     correlation, ratio = velocity_ratio(log.calm.angle, log.columns.velocity)
+    severity: Severity = "error"
+    message = f"velocity is {ratio:.3g} times the angle's rate (correlation {correlation:.2f})"
     if ratio == 0:
         # Many publishers of joint states leave the velocity at 0. A constant velocity is right if
         # the angle changes at that rate. One sample in a hundred may be a spike.
         velocity = log.columns.velocity[0]
-        if np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
-            message = f"the velocity stays at {velocity:.3g} rad/s while the angle changes"
-            fix = "use --columns velocity=- to derive it from the angle"
-            yield log.issue("error", "constant velocity", "velocity", message, fix)
-        return
-    message = f"velocity is {ratio:.3g} times the angle's rate (correlation {correlation:.2f})"
-    if correlation < -0.5:
-        yield log.issue(
-            "error",
-            "velocity sign",
-            "velocity",
-            f"{message}: wrong sign",
-            "--negate velocity",
-        )
+        rest = np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99)
+        if rest <= REST_RATE_RAD_S:
+            return
+        name = "constant velocity"
+        message = f"the velocity stays at {velocity:.3g} rad/s while the angle changes"
+        fix = "use --columns velocity=- to derive it from the angle"
+    elif correlation < -0.5:
+        name = "velocity sign"
+        fix = "--negate velocity"
     elif correlation < 0.5:
+        severity = "warning"
+        name = "velocity"
         fix = "map another column, or use --columns velocity=- to derive it from the angle"
-        message = f"{message}: probably not the fin's velocity"
-        yield log.issue("warning", "velocity", "velocity", message, fix)
     elif not 0.95 < ratio < 1.05:
+        severity = "warning" if 0.5 < ratio < 2 else "error"
+        name = "velocity unit"
         fix = _unit_option(log.config, "velocity", 1 / ratio) or (
             "check the clock, because a loop that is slower than its stamps has such a ratio, and "
             "the velocity's unit"
         )
-        severity: Severity = "warning" if 0.5 < ratio < 2 else "error"
-        yield log.issue(severity, "velocity unit", "velocity", message, fix)
+    else:
+        return
+    yield log.issue(severity, name, "velocity", message, fix)
 
 
 def check_speed(log: CheckedLog) -> Iterator[Issue]:
@@ -329,29 +313,24 @@ def check_speed(log: CheckedLog) -> Iterator[Issue]:
     column: AngleChannel = "command_velocity"
     ratio = log.statistics.speed_ratio
     highest = float(np.percentile(log.columns.command_velocity, 99))
-    severity: Severity = "error"
-    if ratio is None:
-        if highest > MAX_VELOCITY_RAD_S:
-            message = f"reaches {highest:.3g} rad/s, too fast for a fin"
-            fix = f"set the unit: --angles {column}=deg, or {column}=rpm if the drive uses rpm"
-            yield log.issue("error", "command velocity unit", column, message, fix)
-        return
-    if 0.9 < ratio < 1.1:
+    is_fast = highest > FASTEST_DRIVE_RAD_S
+    if ratio is None and is_fast:
+        message = f"reaches {highest:.3g} rad/s, too fast for a fin"
+        fix = f"set the unit: --angles {column}=deg, or {column}=rpm if the drive uses rpm"
+        yield log.issue("error", "command velocity unit", column, message, fix)
+    if ratio is None or 0.9 < ratio < 1.1:
         return
     message = f"the fin moves at {ratio:.3g} times the commanded velocity"
-    fix = _unit_option(log.config, column, ratio) or ""
-    if not fix:
-        if 0.05 < ratio < 20 and highest < MAX_VELOCITY_RAD_S:
-            severity = "warning"
-        fix = (
-            "compare the column with the drive's manual and the clock with the loop's rate; if "
-            f"only the unit is wrong, multiply the column by {ratio:.3g}"
-        )
-        # 10-bit counts read as 12-bit counts, alone or with the velocities of such a drive.
-        if 0.27 < ratio < 0.31 or 0.135 < ratio < 0.15:
-            fix = f"{fix}; if the angles are 10-bit counts, 1,023 of them are 300 degrees"
-    name = "speed" if severity == "warning" else "command velocity unit"
-    yield log.issue(severity, name, column, message, fix)
+    option = _unit_option(log.config, column, ratio)
+    if option or is_fast or not 0.05 < ratio < 20:
+        fix = option or f"if only the unit is wrong, multiply the column by {ratio:.3g}"
+        yield log.issue("error", "command velocity unit", column, message, fix)
+        return
+    fix = (
+        "compare the column with the drive's manual and the clock with the loop's rate; angles in "
+        "10-bit counts (1,023 are 300 degrees) that were read as 12-bit counts have 0.29"
+    )
+    yield log.issue("warning", "speed", column, message, fix)
 
 
 def _unit_option(config: ImportConfig, channel: AngleChannel, factor: float) -> str | None:
@@ -410,63 +389,60 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
     a force that is unrelated to the motion."""
-    column = "force_x, force_y"
     found = log.statistics
     frames = found.frames
-    if frames is None or is_clock_off(found) or (found.following < -0.3 and _is_mirrored(found)):
+    is_angle_mirrored = found.following < -0.3 and _is_mirrored(found)
+    if frames is None or is_clock_off(found) or is_angle_mirrored:
         return
     given = frames["x,y"]
     frame = max(frames, key=frames.__getitem__)
-    message = f"correlation with the force of a model fin {given:.2f} as recorded"
+    severity: Severity = "error"
     if found.correlation < MIN_FRAME_CORRELATION:
-        message = f"the force is almost unrelated to the motion: {message}"
+        severity = "warning"
+        name = "unexplained force"
+        reading = f"at most {found.correlation:.2f} in other axes"
         fix = "check the clocks, and check that force and angle are from the same experiment"
-        yield log.issue("warning", "unexplained force", column, message, fix)
     elif found.shaft_correlation > found.correlation + SHAFT_GAIN:
-        message = f"{message}, {found.shaft_correlation:.2f} if the sensor turns with the shaft"
+        name = "shaft frame"
+        reading = f"{found.shaft_correlation:.2f} if the sensor turns with the shaft"
         fix = (
             "turn the forces in the file back by the angle a: x cos(a) + y sin(a), "
             "y cos(a) - x sin(a); or fix the sensor to the mount and record again"
         )
-        yield log.issue("error", "shaft frame", column, message, fix)
     elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > frames[frame] + 0.02:
-        turn = found.turn_deg
-        message = f"{message}, {found.correlation:.2f} turned by {turn} degrees"
+        name = "turned force"
+        reading = f"{found.correlation:.2f} turned by {found.turn_deg} degrees, as {found.frame}"
         fix = (
-            f"turn the forces in the file by a = {turn} degrees: x cos(a) - y sin(a), "
-            "x sin(a) + y cos(a)"
+            f"turn the forces in the file by a = {found.turn_deg} degrees: "
+            "x cos(a) - y sin(a), x sin(a) + y cos(a); then use "
+            f"{_axes_options(log.config, found.frame, found.turn_deg)}"
         )
-        if found.frame == "x,y":
-            fix = (
-                f"if the fin points along -x at angle 0, {fix}; otherwise "
-                f"{_angle_zero_option(log.config, -turn)}"
-            )
-        else:
-            message = f"{message} and read as {found.frame}"
-            fix = f"{fix}; then use --force={compose_frames(log.config.force, found.frame)}"
-        yield log.issue("error", "turned force", column, message, fix)
     elif frames[frame] > given + 0.1:
-        message = f"axes swapped or negated: {message}, {frames[frame]:.2f} as {frame}"
-        fix = f"{_force_option(log.config, frame)}{_other_reading(log.config, frame)}"
-        yield log.issue("error", "force axes", column, message, fix)
+        name = "force axes"
+        reading = f"{frames[frame]:.2f} as {frame}"
+        fix = _axes_options(log.config, frame, 0)
+    else:
+        return
+    message = f"correlation with the force of a model fin {given:.2f} as recorded, {reading}"
+    yield log.issue(severity, name, "force_x, force_y", message, fix)
 
 
-def _other_reading(config: ImportConfig, frame: str) -> str:
-    """Return the options that explain the force as well as a frame does, and how to decide."""
-    if frame == "x,-y":
+def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
+    """Return the option for a frame, and the options that explain a force as well that fits in this
+    frame after a rotation."""
+    option = f"--force={compose_frames(config.force, frame)}"
+    turn = FRAME_TURNS.get(frame, 0) + turn_deg
+    mirrored = ""
+    if frame in MIRRORED_TURNS:
+        turn = MIRRORED_TURNS[frame] - turn_deg
+        mirrored = f" --force={compose_frames(config.force, 'x,-y')}"
+    if turn:
+        zero = _angle_zero_option(config, -turn)
         return (
-            f"; if positive angles turn the fin towards -y instead, "
-            f"{_negate_option(config, ('command_angle', 'angle'))}"
+            f"{option}; or, if the fin is at {turn} degrees where the log has 0, {zero}{mirrored}"
         )
-    turn = FRAME_TURNS[frame]
-    zero = _angle_zero_option(config, -turn)
-    if frame in ("y,x", "-x,y", "-y,-x"):
-        zero = f"{_force_option(config, 'x,-y')} and {zero}"
-    return f"; if the fin points along {FIN_DIRECTIONS[turn]} at angle 0 instead, {zero}"
-
-
-def _force_option(config: ImportConfig, frame: str) -> str:
-    return f"--force={compose_frames(config.force, frame)}"
+    negated = _negate_option(config, ("command_angle", "angle"))
+    return f"{option}; or, if positive angles turn the fin towards -y, {negated}"
 
 
 def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
@@ -477,16 +453,11 @@ def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
 
 def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
     """Return the option that makes a recorded angle the new angle 0."""
+    unit = config.angles.get("angle", "deg")
+    shift = np.radians(degrees) / UNITS["angle"][unit]
     if "angle" in config.negate:
-        degrees = -degrees
-    unit = config.angles.get("angle")
-    if unit is not None:
-        zero = config.angle_zero + np.radians(degrees) / UNITS["angle"][unit]
-        return f"--angle-zero {zero:.4g}"
-    return (
-        f"--angle-zero {config.angle_zero + degrees:.4g} (for angles in rad, "
-        f"{config.angle_zero + np.radians(degrees):.4g})"
-    )
+        shift = -shift
+    return f"--angle-zero {config.angle_zero + shift:.4g} ({unit})"
 
 
 def is_clock_off(found: LogStatistics) -> bool:
@@ -498,45 +469,38 @@ def is_clock_off(found: LogStatistics) -> bool:
 def check_force_clock(log: CheckedLog) -> Iterator[Issue]:
     """Find a force whose clock is off, always or at times."""
     found = log.statistics
-    column = "force_x, force_y"
     fix = "synchronize the clocks, or stamp sensor and drive on one computer, and record again"
     if is_clock_off(found):
         message = (
-            "no lag within 0.2 s explains the force: the motion explains "
-            f"{found.force_share:.0%} of its variance"
+            f"no lag within 0.2 s explains the force: {found.force_share:.0%} of its variance, "
+            f"and {found.far_share:.0%} at {found.far_lag_ms / 1e3:.1f} s"
         )
-        # In a short log, some wrong lag explains 70%.
-        if found.far_share > 0.75:
-            message += f", {found.far_share:.0%} at a lag of {found.far_lag_ms / 1e3:.1f} s"
-        yield log.issue("error", "force clock", column, message, fix)
+        yield log.issue("error", "force clock", "force_x, force_y", message, fix)
     elif found.late_force_s:
-        stretches = ", ".join(
-            f"{start:.0f} to {start + WINDOW_TICKS * TICK_S:.0f} s" for start in found.late_force_s
-        )
-        message = f"another lag than in the rest of the log: {stretches}"
-        yield log.issue(
-            "error", "changing lag", column, message, fix, round(found.late_force_s[0] * RATE_HZ)
-        )
+        starts = ", ".join(f"{start:.0f}" for start in found.late_force_s)
+        message = f"another lag than in the rest of the log, in the 6 s from {starts} s"
+        row = round(found.late_force_s[0] * RATE_HZ)
+        yield log.issue("error", "changing lag", "force_x, force_y", message, fix, row)
 
 
 def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
     """Find a force that is not zero while the fin is at rest, or that drifts."""
     found = log.statistics
-    fix = "tare the sensor in still water before each log, or subtract this offset from the column"
-    for axis, deviation in zip(AXES, found.force_std_n, strict=True):
+    offsets = found.offset_n or (0.0, 0.0)
+    for axis, offset, deviation in zip(AXES, offsets, found.force_std_n, strict=True):
         column = f"force_{axis}"
         change = drift(getattr(log.calm, column))
         of_deviation = f"the standard deviation over the log is {deviation:.2g} N"
-        is_long = len(log.force) >= MIN_DRIFT_S * RATE_HZ
-        if is_long and abs(change) > DRIFT_SHARE * deviation:
+        if abs(change) > DRIFT_SHARE * deviation and found.rows >= MIN_DRIFT_S * RATE_HZ:
             message = f"drifts by {change:+.2g} N over the log; {of_deviation}"
-            drift_fix = "let the sensor warm up, or subtract the drift from the column"
-            yield log.issue("warning", "force drift", column, message, drift_fix)
-        elif (
-            found.offset_n
-            and abs(offset := found.offset_n[AXES.index(axis)]) > OFFSET_SHARE * deviation
-        ):
+            fix = "let the sensor warm up, or subtract the drift from the column"
+            yield log.issue("warning", "force drift", column, message, fix)
+        elif abs(offset) > OFFSET_SHARE * deviation:
             message = f"{offset:+.2g} N while the fin is at rest; {of_deviation}"
+            fix = (
+                "tare the sensor in still water before each log, or subtract this offset from the "
+                "column"
+            )
             yield log.issue("warning", "force offset", column, message, fix)
 
 
@@ -558,24 +522,18 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
                 continue
             # Commands that are stamped late make the lag look shorter; a force that is stamped late
             # makes it look longer.
+            late = lag - USUAL_LAG_MS
+            column = "force_x, force_y"
+            ends = "angle to force"
             if name == "command":
-                follower = "the angle"
-                leader = "its command"
+                late = -late
                 column = "command_angle"
-                late = USUAL_LAG_MS - lag
-            else:
-                follower = "the force"
-                leader = "the angle"
-                column = "force_x, force_y"
-                late = lag - USUAL_LAG_MS
-            relation = f"lags {leader} by {lag:.0f} ms"
-            if lag < 0:
-                relation = f"leads {leader} by {-lag:.0f} ms"
+                ends = "command to angle"
             usually = ""
             if len(measured) > 1:
                 usually = f" (median of {len(measured)} logs: {usual:.0f} ms)"
             message = (
-                f"{follower} {relation}{usually}; plausible lags are {least:.0f} to {most:.0f} ms, "
+                f"{lag:.0f} ms from {ends}{usually}; plausible are {least:.0f} to {most:.0f} ms, "
                 "so a clock is off"
             )
             late += getattr(config, f"{name}_lag_ms")
@@ -588,50 +546,43 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
             )
 
 
-def check_angle_zero(
+def check_dataset(
     logs: Sequence[NamedLog], are_axes_wrong: bool, config: ImportConfig
 ) -> Iterator[Issue]:
-    """Find training commands that do not contain angle 0: an error if the force does not fit the
-    angles either."""
-    training = [one.log for one in logs if one.part == "train"]
-    if not training:
-        return
-    limits = command_limits(training)
-    # Larger values are not in radians; check_degrees and check_counts report that.
-    is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
-    if not is_in_radians or limits.angle_min == limits.angle_max or limits.rest_angle == 0:
-        return
-    message = (
-        f"the commanded angles range from {limits.angle_min:.3g} to "
-        f"{limits.angle_max:.3g} rad and do not include 0"
-    )
-    if are_axes_wrong:
-        centre = np.degrees(limits.angle_min + limits.angle_max) / 2
-        quarter = 90 * round(centre / 90)
-        if abs(centre - quarter) < 10:
-            centre = quarter
-        message += ", and the force does not fit these angles"
-        fix = (
-            f"{_angle_zero_option(config, centre)} if the fin points along -x in the middle of "
-            "its range; then inspect again"
-        )
-        yield Issue("error", "angle zero", "all logs", message, fix, "command_angle")
-    else:
-        fix = (
-            f"if the fin cannot point along -x, ignore this: its experiments start at "
-            f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
-            "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
-        )
-        yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
-
-
-def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Find a dataset without test logs, and training commands that cover too little of their own
-    range."""
+    """Find a dataset without test logs, and training commands that do not contain angle 0 or that
+    cover too little of their own range."""
     if not any(one.part == "test" for one in logs):
         fix = "select some with --test PATTERN, or put them into a folder named test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
     training = [one.log for one in logs if one.part == "train"]
+    if training:
+        limits = command_limits(training)
+        # Larger values are not in radians; check_degrees and check_counts report that.
+        is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
+        if is_in_radians and limits.angle_min < limits.angle_max and limits.rest_angle != 0:
+            message = (
+                f"the commanded angles range from {limits.angle_min:.3g} to "
+                f"{limits.angle_max:.3g} rad and do not include 0"
+            )
+            severity: Severity = "warning"
+            name = "no rest"
+            fix = (
+                f"if the fin cannot point along -x, ignore this: its experiments start at "
+                f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
+                "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
+            )
+            if are_axes_wrong:
+                severity = "error"
+                name = "angle zero"
+                message = f"{message}, and the force does not fit them"
+                centre = np.degrees(limits.angle_min + limits.angle_max) / 2
+                # Zeros are usually off by quarter turns.
+                quarter = 90 * round(centre / 90)
+                if abs(centre - quarter) < 10:
+                    centre = quarter
+                fix = "if the fin points along -x in the middle of its range, use "
+                fix += _angle_zero_option(config, centre)
+            yield Issue(severity, name, "all logs", message, fix, "command_angle")
     steps = []
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)
@@ -660,7 +611,7 @@ LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_jumps,
     check_stuck,
     check_saturation,
-    check_sensor,
+    check_force_sensor,
     check_velocity,
     check_commanded_velocity,
     check_speed,

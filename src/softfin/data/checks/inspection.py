@@ -12,7 +12,6 @@ from softfin.data.checks.alignment import MIN_ALIGNED_S
 from softfin.data.checks.checks import (
     LOG_CHECKS,
     CheckedLog,
-    check_angle_zero,
     check_counts,
     check_dataset,
     check_following,
@@ -129,11 +128,11 @@ def inspect(
         found += check_speed(pooled)
         found += check_lags([together], config)
     about_axes = [issue for issue in found if issue.name in ("force axes", "turned force")]
-    zero = list(check_angle_zero(logs, bool(about_axes), config))
-    if zero and about_axes:
+    of_dataset = list(check_dataset(logs, bool(about_axes), config))
+    if any(issue.name == "angle zero" for issue in of_dataset):
         # The right axes depend on the zero of the angle.
         found = [issue for issue in found if issue not in about_axes]
-    issues = [*zero, *found, *check_lags(comparable, config), *check_dataset(logs)]
+    issues = [*of_dataset, *found, *check_lags(comparable, config)]
     return Inspection(merge_issues(issues), statistics)
 
 

@@ -5,7 +5,7 @@ All channels are in double precision. `checks` decides which statistics are issu
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.data.checks.alignment import (
     FOLLOWING_TICKS,
     MIN_ALIGNED_S,
+    ForceSeries,
     LogSeries,
     command_lag,
     find_force_lag,
@@ -44,6 +45,11 @@ class LogColumns(NamedTuple):
     force_x: LogSeries
     force_y: LogSeries
 
+    @property
+    def force(self) -> ForceSeries:
+        """Both forces."""
+        return self.force_x + 1j * self.force_y
+
 
 @dataclasses.dataclass(frozen=True)
 class LogStatistics:
@@ -66,19 +72,18 @@ class LogStatistics:
     """Length of a fin that makes forces of this size [m]."""
     speed_ratio: float | None
     """Speed of moves, divided by the commanded velocity."""
-    force_lag_ms: float | None
-    """Lag from angle to force [ms]."""
-    force_share: float
+    force_lag_ms: float | None = None
+    """Lag from angle to force [ms]; this and the following are unknown for logs under 10 s."""
+    force_share: float = 0.0
     """Share of the force's variance that the motion explains at best within 0.2 s."""
-    far_lag_ms: float
+    far_lag_ms: float = 0.0
     """Best lag beyond 0.2 s [ms]."""
-    far_share: float
+    far_share: float = 0.0
     """Share that the motion explains at that lag."""
-    late_force_s: tuple[float, ...]
+    late_force_s: Sequence[float] = ()
     """Starts of the windows in which the force has another lag than in most [s]."""
     frames: dict[str, float] | None = None
-    """Correlation with the force of a model fin, by assignment of the force axes; None for logs
-    under 10 s."""
+    """Correlation with the force of a model fin, by assignment of the force axes."""
     turn_deg: int = 0
     """Rotation of the recorded force after which a frame fits best [degrees]."""
     frame: str = "x,y"
@@ -137,16 +142,18 @@ def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[st
 
 def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
     """Compute the statistics of a log from its repaired channels."""
-    force = np.stack([columns.force_x, columns.force_y], axis=1)
+    force = columns.force
     rows = len(force)
-    estimates = find_force_lag(columns.angle, force)._asdict()
-    late = find_late_windows(columns.angle, force)
-    if late:
-        estimates["force_lag_ms"] = None
+    estimates: dict[str, Any] = {}
     following = 0.0
     if rows >= MIN_ALIGNED_S * RATE_HZ:
-        lag_ms = estimates["force_lag_ms"] or 0.0
-        estimates |= find_orientation(columns.angle, force, lag_ms)._asdict()
+        late = find_late_windows(columns.angle, force)
+        estimates |= find_force_lag(columns.angle, force)._asdict()
+        if late:
+            estimates |= {"force_lag_ms": None, "late_force_s": [row * TICK_S for row in late]}
+        # A force that lags by n ticks belongs to the motion n ticks earlier.
+        lag_ticks = round((estimates["force_lag_ms"] or 0) * RATE_HZ / 1e3)
+        estimates |= find_orientation(columns.angle, np.roll(force, -lag_ticks))._asdict()
         earlier = columns.command_angle[:-FOLLOWING_TICKS]
         later = columns.angle[FOLLOWING_TICKS:]
         if earlier.std() > 0 and later.std() > 0:
@@ -157,7 +164,8 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         settled[start + RATE_HZ // 2 : end] = True
     offset = None
     if settled.sum() >= RATE_HZ:
-        offset = tuple(force[settled].mean(axis=0).tolist())
+        mean = force[settled].mean()
+        offset = (float(mean.real), float(mean.imag))
     return LogStatistics(
         name=named.name,
         part=named.part,
@@ -166,13 +174,12 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         following=following,
         command_lag_ms=command_lag(columns.command_angle, columns.angle),
         offset_n=offset,
-        force_std_n=tuple(force.std(axis=0).tolist()),
+        force_std_n=(float(columns.force_x.std()), float(columns.force_y.std())),
         channels={
             channel: (float(np.min(values)), float(np.max(values)))
             for channel, values in named.log.channels.items()
         },
         fin_length_m=fin_length(columns.angle, force),
         speed_ratio=speed_ratio(columns.command_angle, columns.command_velocity, columns.angle),
-        late_force_s=tuple(start * TICK_S for start in late),
         **estimates,
     )
