@@ -160,8 +160,8 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
             following = float(np.corrcoef(earlier, later)[0, 1])
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S):
-        # The water takes another half second to become still.
-        settled[start + RATE_HZ // 2 : end] = True
+        # The water around a fin of half a metre takes another 0.8 s to become still.
+        settled[start + 4 * RATE_HZ // 5 : end] = True
     offset = None
     if settled.sum() >= RATE_HZ:
         mean = force[settled].mean()
