@@ -96,7 +96,7 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     ticks = config.members * config.batch * config.ticks
     per_tick = 3 * 2 * products(single(members).force)
     return (
-        lambda: learner.run(state, table, foretold, 0, 1, jax.random.key(1)),
+        lambda: list(learner.run(state, table, foretold, [(0, 1)], jax.random.key(1))),
         ticks,
         per_tick,
     )
