@@ -8,6 +8,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.issues import Issue
 from tests.data.faulty import (
     FAULTS,
+    FORCES,
     Columns,
     Fault,
     cut,
@@ -156,3 +157,26 @@ def test_a_unit_is_added_to_those_that_were_given():
     columns = faulty(times("command_velocity_rad_s", 9.549))
     fix = found(columns, config=config)["command velocity unit"].fix
     assert fix == "--angles velocity=deg,command_velocity=rpm"
+
+
+def test_advice_leads_the_log_of_a_servo_with_its_centre_at_90_degrees_to_its_true_axes():
+    columns = faulty(shifted(90))
+    mirror = times("force_y_n", -1)
+    mirror(columns)
+    assert found(columns).keys() == {"angle zero"}
+    shifted(-90)(columns)
+    issues = found(columns)
+    assert issues.keys() == {"force axes"}
+    assert issues["force axes"].fix.startswith("--force=x,-y;")
+    mirror(columns)
+    assert not found(columns)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_millinewtons_or_kilonewtons_show_in_the_size_of_a_fin(factor):
+    """Of a fin of half a metre or of 10 cm; a fin of usual size hides either."""
+    fin = "vehicle" if factor > 1 else "hand"
+    columns = faulty(lambda log: None, fin)
+    for name in FORCES:
+        times(name, factor)(columns)
+    assert "--force-unit" in found(columns)["force size"].fix

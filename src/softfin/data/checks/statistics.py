@@ -70,10 +70,11 @@ class LogStatistics:
     """Minimum and maximum of each further channel."""
     fin_length_m: float
     """Length of a fin that makes forces of this size [m]."""
-    speed_ratio: float | None
-    """Speed of moves, divided by the commanded velocity."""
+    speed_ratio: float | None = None
+    """Speed of moves, divided by the commanded velocity; this and the following are unknown for
+    logs under 10 s."""
     force_lag_ms: float | None = None
-    """Lag from angle to force [ms]; this and the following are unknown for logs under 10 s."""
+    """Lag from angle to force [ms]."""
     force_share: float = 0.0
     """Share of the force's variance that the motion explains at best within 0.2 s."""
     far_lag_ms: float = 0.0
@@ -133,8 +134,8 @@ def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[st
     # A file with both angles in degrees has the profile velocity in degrees as well, unless the
     # fin moves at about that velocity in rad/s or rpm.
     if len({"angle", "command_angle"} & {*found}) == 2 and not is_velocity_given:
-        angles = (np.radians(columns.command_angle), np.radians(columns.angle))
-        ratio = speed_ratio(angles[0], columns.command_velocity, angles[1])
+        command = np.radians(columns.command_angle)
+        ratio = speed_ratio(command, columns.command_velocity, np.radians(columns.angle))
         if ratio is None or ratio < 0.1:
             found.append("command_velocity")
     return found
@@ -154,6 +155,7 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         # A force that lags by n ticks belongs to the motion n ticks earlier.
         lag_ticks = round((estimates["force_lag_ms"] or 0) * RATE_HZ / 1e3)
         estimates |= find_orientation(columns.angle, np.roll(force, -lag_ticks))._asdict()
+        estimates["speed_ratio"] = speed_ratio(*columns[:3])
         earlier = columns.command_angle[:-FOLLOWING_TICKS]
         later = columns.angle[FOLLOWING_TICKS:]
         if earlier.std() > 0 and later.std() > 0:
@@ -180,6 +182,5 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
             for channel, values in named.log.channels.items()
         },
         fin_length_m=fin_length(columns.angle, force),
-        speed_ratio=speed_ratio(columns.command_angle, columns.command_velocity, columns.angle),
         **estimates,
     )
