@@ -102,15 +102,17 @@ def test_times_of_late_stretches_are_told():
 def test_the_zero_of_the_angle_comes_before_the_axes(degrees):
     # Servos are often at 90 degrees in their centre.
     issues = found(faulty(shifted(degrees)))
-    assert next(iter(issues)) == "angle zero"
+    assert issues["angle zero"].severity == "error"
     assert issues["angle zero"].fix.endswith(f"--angle-zero {degrees} (deg)")
     assert "force axes" not in issues
 
 
-def test_an_angle_zero_in_a_known_unit_is_one_number():
-    columns = faulty(shifted(90))
-    config = ImportConfig(angles={"angle": "deg", "command_angle": "deg"}, angle_zero=5)
-    assert found(columns, config=config)["angle zero"].fix.endswith("--angle-zero 95 (deg)")
+def test_an_angle_zero_that_was_set_is_believed_and_goes_on_from_there():
+    # A quarter turn of the force that a fin with only positive angles may have.
+    config = ImportConfig(angles={"angle": "rad"}, angle_zero=0.5)
+    fix = found(faulty(shifted(90)), config=config)["force axes"].fix
+    assert fix.startswith("--force=y,-x")
+    assert "--angle-zero 2.071 (rad)" in fix
 
 
 def test_an_angle_zero_off_by_20_degrees_and_a_turned_sensor_are_both_listed():
@@ -163,7 +165,7 @@ def test_advice_leads_the_log_of_a_servo_with_its_centre_at_90_degrees_to_its_tr
     columns = faulty(shifted(90))
     mirror = times("force_y_n", -1)
     mirror(columns)
-    assert found(columns).keys() == {"angle zero"}
+    assert found(columns).keys() == {"angle zero", "no rest"}
     shifted(-90)(columns)
     issues = found(columns)
     assert issues.keys() == {"force axes"}

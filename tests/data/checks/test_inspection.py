@@ -201,7 +201,7 @@ NOT_ALONE = {
     "other velocity": (velocity_of_something, "velocity", "map another column"),
     "seam": (seam, "jumps", "--rows-per-log"),
     "no velocity": (always(0, "command_velocity_rad_s"), "command velocity", "map the column"),
-    "far": (plus(1.8, "angle_rad", "command_angle_rad"), "angle zero", "--angle-zero 103"),
+    "far": (plus(1.8, "angle_rad", "command_angle_rad"), "angle zero", "--angle-zero 105"),
 }
 
 

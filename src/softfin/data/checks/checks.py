@@ -81,9 +81,6 @@ logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
 FIN_LENGTHS_M = (0.03, 1.0)
 """Lengths of a fin that are plausible from the size of the forces."""
 
-FASTEST_DRIVE_RAD_S = 40.0
-"""Commanded velocity above which the unit must be wrong: more than 6 turns per second."""
-
 VELOCITY_UNITS = {"deg": np.pi / 180, "rpm": RPM, "rad": 180 / np.pi}
 """Units that are suggested for a velocity, by the factor that corrects it. A velocity in rad/s is
 only 57 times too small if it was read as degrees."""
@@ -252,10 +249,7 @@ def check_force_sensor(log: CheckedLog) -> Iterator[Issue]:
     if repeated > 0.1:
         # A fit hardly suffers from rows that are repeated as a whole.
         severity: Severity = "note" if repeated < min(rows + 0.1, 0.6) else "warning"
-        message = (
-            f"{repeated:.0%} of the rows of the moving fin repeat the force, and {rows:.0%} the "
-            f"angle as well: about {RATE_HZ * (1 - repeated):.0f} readings per second"
-        )
+        message = f"{repeated:.0%} of the rows of the moving fin repeat the row before"
         fix = "read the sensor once per row, at 100 Hz or faster, and record again"
         yield log.issue(severity, "repeated values", column, message, fix)
     elif roughness(force) < MIN_ROUGHNESS:
@@ -310,27 +304,22 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
 
 def check_speed(log: CheckedLog) -> Iterator[Issue]:
     """Find commanded velocities at which the fin does not move."""
-    column: AngleChannel = "command_velocity"
     ratio = log.statistics.speed_ratio
-    highest = float(np.percentile(log.columns.command_velocity, 99))
-    is_fast = highest > FASTEST_DRIVE_RAD_S
-    if ratio is None and is_fast:
-        message = f"reaches {highest:.3g} rad/s, too fast for a fin"
-        fix = f"set the unit: --angles {column}=deg, or {column}=rpm if the drive uses rpm"
-        yield log.issue("error", "command velocity unit", column, message, fix)
     if ratio is None or 0.9 < ratio < 1.1:
         return
-    message = f"the fin moves at {ratio:.3g} times the commanded velocity"
-    option = _unit_option(log.config, column, ratio)
-    if option or is_fast or not 0.05 < ratio < 20:
-        fix = option or f"if only the unit is wrong, multiply the column by {ratio:.3g}"
-        yield log.issue("error", "command velocity unit", column, message, fix)
-        return
-    fix = (
-        "compare the column with the drive's manual and the clock with the loop's rate; angles in "
-        "10-bit counts (1,023 are 300 degrees) that were read as 12-bit counts have 0.29"
+    name = "command velocity unit"
+    severity: Severity = "error"
+    fix = _unit_option(log.config, "command_velocity", ratio)
+    if fix is None and 0.05 < ratio < 20:
+        name = "speed"
+        severity = "warning"
+    fix = fix or (
+        "compare the column with the drive's manual, and the clock with the loop's rate; if only "
+        f"the unit is wrong, multiply the column by {ratio:.3g}; angles in 10-bit counts (1,023 "
+        "are 300 degrees) that were read as 12-bit counts have a ratio of 0.29"
     )
-    yield log.issue("warning", "speed", column, message, fix)
+    message = f"the fin moves at {ratio:.3g} times the commanded velocity"
+    yield log.issue(severity, name, "command_velocity", message, fix)
 
 
 def _unit_option(config: ImportConfig, channel: AngleChannel, factor: float) -> str | None:
@@ -375,7 +364,7 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         yield log.issue("error", "constant command", column, message, fix)
     elif following < -0.3:
         message = f"the angle moves opposite to its command: correlation {following:.2f}"
-        if _is_mirrored(log.statistics):
+        if log.statistics.frame == "x,-y":
             column = "angle"
             message = f"{message}, and the force fits the mirrored angle"
         fix = _negate_option(log.config, [column])
@@ -390,12 +379,11 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
     a force that is unrelated to the motion."""
     found = log.statistics
-    frames = found.frames
-    is_angle_mirrored = found.following < -0.3 and _is_mirrored(found)
-    if frames is None or is_clock_off(found) or is_angle_mirrored:
+    is_angle_mirrored = found.following < -0.3 and found.frame == "x,-y"
+    if found.frames is None or is_clock_off(found) or is_angle_mirrored:
         return
-    given = frames["x,y"]
-    frame = max(frames, key=frames.__getitem__)
+    given = found.frames["x,y"]
+    in_frame = found.frames[found.frame]
     severity: Severity = "error"
     if found.correlation < MIN_FRAME_CORRELATION:
         severity = "warning"
@@ -409,7 +397,7 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
             "turn the forces in the file back by the angle a: x cos(a) + y sin(a), "
             "y cos(a) - x sin(a); or fix the sensor to the mount and record again"
         )
-    elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > frames[frame] + 0.02:
+    elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > in_frame + 0.02:
         name = "turned force"
         reading = f"{found.correlation:.2f} turned by {found.turn_deg} degrees, as {found.frame}"
         fix = (
@@ -417,12 +405,22 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
             "x cos(a) - y sin(a), x sin(a) + y cos(a); then use "
             f"{_axes_options(log.config, found.frame, found.turn_deg)}"
         )
-    elif frames[frame] > given + 0.1:
+    elif in_frame > given + 0.1:
         name = "force axes"
-        reading = f"{frames[frame]:.2f} as {frame}"
-        fix = _axes_options(log.config, frame, 0)
+        reading = f"{in_frame:.2f} as {found.frame}"
+        fix = _axes_options(log.config, found.frame, 0)
     else:
         return
+    low, high = np.degrees([log.calm.command_angle.min(), log.calm.command_angle.max()])
+    # The right axes depend on the zero of the angle, which is doubtful if no command reaches it.
+    excludes_zero = (low > 0 or high < 0) and not log.config.angle_zero
+    if excludes_zero and name in ("turned force", "force axes"):
+        name = "angle zero"
+        reading = f"and the commands range from {low:.0f} to {high:.0f} degrees, without 0"
+        centre = _angle_zero_option(log.config, 5 * round((low + high) / 10))
+        fix = (
+            f"set the angle at which the fin points along -x; in the middle of its range, {centre}"
+        )
     message = f"correlation with the force of a model fin {given:.2f} as recorded, {reading}"
     yield log.issue(severity, name, "force_x, force_y", message, fix)
 
@@ -546,9 +544,7 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
             )
 
 
-def check_dataset(
-    logs: Sequence[NamedLog], are_axes_wrong: bool, config: ImportConfig
-) -> Iterator[Issue]:
+def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     """Find a dataset without test logs, and training commands that do not contain angle 0 or that
     cover too little of their own range."""
     if not any(one.part == "test" for one in logs):
@@ -564,25 +560,12 @@ def check_dataset(
                 f"the commanded angles range from {limits.angle_min:.3g} to "
                 f"{limits.angle_max:.3g} rad and do not include 0"
             )
-            severity: Severity = "warning"
-            name = "no rest"
             fix = (
                 f"if the fin cannot point along -x, ignore this: its experiments start at "
                 f"{limits.rest_angle:.3g} rad; otherwise correct the zero: on a rig, turn the fin "
                 "to point along -x and run softfin rig zero --arm; in logs, use --angle-zero"
             )
-            if are_axes_wrong:
-                severity = "error"
-                name = "angle zero"
-                message = f"{message}, and the force does not fit them"
-                centre = np.degrees(limits.angle_min + limits.angle_max) / 2
-                # Zeros are usually off by quarter turns.
-                quarter = 90 * round(centre / 90)
-                if abs(centre - quarter) < 10:
-                    centre = quarter
-                fix = "if the fin points along -x in the middle of its range, use "
-                fix += _angle_zero_option(config, centre)
-            yield Issue(severity, name, "all logs", message, fix, "command_angle")
+            yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
     steps = []
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)
@@ -599,10 +582,6 @@ def check_dataset(
         )
         fix = "record random angles and velocities, as softfin collect does"
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
-
-
-def _is_mirrored(found: LogStatistics) -> bool:
-    return found.frames is not None and max(found.frames, key=found.frames.__getitem__) == "x,-y"
 
 
 LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (

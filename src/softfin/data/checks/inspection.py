@@ -127,12 +127,7 @@ def inspect(
         found += check_force_axes(pooled)
         found += check_speed(pooled)
         found += check_lags([together], config)
-    about_axes = [issue for issue in found if issue.name in ("force axes", "turned force")]
-    of_dataset = list(check_dataset(logs, bool(about_axes), config))
-    if any(issue.name == "angle zero" for issue in of_dataset):
-        # The right axes depend on the zero of the angle.
-        found = [issue for issue in found if issue not in about_axes]
-    issues = [*of_dataset, *found, *check_lags(comparable, config)]
+    issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 
 
