@@ -10,7 +10,9 @@ Added mass and drag act along (sin theta, cos theta), against acceleration and r
 may be negative, so a reversed axis fits worse.
 """
 
-from typing import NamedTuple, TypeAlias
+import dataclasses
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -83,26 +85,29 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
     return float(lag_ticks * TICK_S * 1e3)
 
 
-class ForceLag(NamedTuple):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ForceLag:
     """Lag from angle to force, and how well a linear model of the motion explains the force."""
 
-    force_lag_ms: float | None
+    force_lag_ms: float | None = None
     """Best lag within 0.2 s [ms]; None if unknown."""
-    force_share: float
+    force_share: float = 0.0
     """Share of the force's variance that the motion explains at best within 0.2 s."""
-    far_lag_ms: float
+    far_lag_ms: float = 0.0
     """Best lag beyond 0.2 s [ms]."""
-    far_share: float
+    far_share: float = 0.0
     """Share that the motion explains at that lag."""
+    late_force_s: Sequence[float] = ()
+    """Starts of the windows of 6 s in which the force has another lag than in most [s]."""
 
 
 def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
     """Find the lag at which a linear model of the motion best explains the force, regardless of its
     axes.
 
-    The lag is unknown if it is at the edge of 0.2 s, if a lag beyond explains 10% more of the
-    force's variance, or if the motion explains less than 30%; in the published networks' logs it
-    explains at least 45%.
+    The lag is unknown if it changes, if it is at the edge of 0.2 s, if a lag beyond explains 10%
+    more of the force's variance, or if the motion explains less than 30%; in the published
+    networks' logs it explains at least 45%.
     """
     ticks = min(FAR_TICKS, len(angle) // 4)
     shares = explained_shares(angle, force, ticks)
@@ -110,14 +115,21 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
     far = np.where(is_near, 0, shares)
     near = shares[is_near]
     best = int(near.argmax())
+    late = find_late_windows(angle, force)
     lag_ms = None
-    if 0 < best < 2 * SEARCHED_TICKS and near[best] >= max(0.3, far.max() - 0.1):
+    is_known = 0 < best < 2 * SEARCHED_TICKS and near[best] >= max(0.3, far.max() - 0.1)
+    if is_known and not late:
         # Vertex of the parabola through the best lag and its two neighbours.
         left, middle, right = near[best - 1 : best + 2]
         lag_ticks = best - SEARCHED_TICKS + (left - right) / 2 / (left - 2 * middle + right)
         lag_ms = float(lag_ticks * TICK_S * 1e3)
-    far_lag_ms = (int(far.argmax()) - ticks) * TICK_S * 1e3
-    return ForceLag(lag_ms, float(near[best]), far_lag_ms, float(far.max()))
+    return ForceLag(
+        force_lag_ms=lag_ms,
+        force_share=float(near[best]),
+        far_lag_ms=(int(far.argmax()) - ticks) * TICK_S * 1e3,
+        far_share=float(far.max()),
+        late_force_s=late,
+    )
 
 
 def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[np.ndarray, "lags"]:
@@ -145,8 +157,8 @@ def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[
     return np.asarray(explained / total)
 
 
-def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[int]:
-    """Return the first rows of the windows of `WINDOW_TICKS` in which the force has another lag
+def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[float]:
+    """Return the starts [s] of the windows of `WINDOW_TICKS` in which the force has another lag
     than in most.
 
     There, the own lag explains nearly as much of the variance as in most windows, and at least 12%
@@ -158,23 +170,25 @@ def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[int]:
     usual = int(np.median(shares.argmax(axis=1)))
     at_usual = shares[:, max(usual - 4, 0) : usual + 5].max(axis=1)
     own = shares.max(axis=1)
-    late: list[int] = starts[(own > at_usual + 0.12) & (own > 0.8 * np.median(own))].tolist()
+    is_late = (own > at_usual + 0.12) & (own > 0.8 * np.median(own))
+    late: list[float] = (starts[is_late] * TICK_S).tolist()
     return late
 
 
-class Orientation(NamedTuple):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Orientation:
     """Correlations between the force, read in other axes, and the best fit of a model fin."""
 
-    frames: dict[str, float]
-    """Correlation in each of `FORCE_FRAMES`."""
-    turn_deg: int
+    frames: dict[str, float] | None = None
+    """Correlation in each of `FORCE_FRAMES`; None if unknown."""
+    turn_deg: int = 0
     """Counterclockwise rotation of the recorded force after which one of these frames fits best
     [degrees], in steps of 5 from -45 to 45."""
-    frame: str
+    frame: str = "x,y"
     """That frame."""
-    correlation: float
+    correlation: float = 0.0
     """Correlation after this rotation and in this frame."""
-    shaft_correlation: float
+    shaft_correlation: float = 0.0
     """Largest correlation if the sensor turns with the shaft."""
 
 
@@ -192,7 +206,13 @@ def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
     turn_deg = max(fits, key=lambda degrees: max(fits[degrees].values()))
     best = fits[turn_deg]
     frame = max(best, key=best.__getitem__)
-    return Orientation(fits[0], turn_deg, frame, best[frame], on_shaft)
+    return Orientation(
+        frames=fits[0],
+        turn_deg=turn_deg,
+        frame=frame,
+        correlation=best[frame],
+        shaft_correlation=on_shaft,
+    )
 
 
 def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]:

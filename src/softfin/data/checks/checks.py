@@ -245,10 +245,9 @@ def check_force_sensor(log: CheckedLog) -> Iterator[Issue]:
     column = "force_x, force_y"
     force = log.columns.force
     repeated = repeated_share(force, log.moving)
-    rows = min(repeated, repeated_share(log.columns.angle, log.moving))
     if repeated > 0.1:
-        # A fit hardly suffers from rows that are repeated as a whole.
-        severity: Severity = "note" if repeated < min(rows + 0.1, 0.6) else "warning"
+        # A fit hardly suffers from single rows that are repeated.
+        severity: Severity = "note" if repeated < 0.4 else "warning"
         message = f"{repeated:.0%} of the rows of the moving fin repeat the row before"
         fix = "read the sensor once per row, at 100 Hz or faster, and record again"
         yield log.issue(severity, "repeated values", column, message, fix)

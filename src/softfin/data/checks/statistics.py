@@ -5,19 +5,20 @@ All channels are in double precision. `checks` decides which statistics are issu
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from softfin.core.quantities import RATE_HZ, TICK_S, Log
+from softfin.core.quantities import RATE_HZ, Log
 from softfin.data.checks.alignment import (
     FOLLOWING_TICKS,
     MIN_ALIGNED_S,
+    ForceLag,
     ForceSeries,
     LogSeries,
+    Orientation,
     command_lag,
     find_force_lag,
-    find_late_windows,
     find_orientation,
     measure_rate,
 )
@@ -51,9 +52,9 @@ class LogColumns(NamedTuple):
         return self.force_x + 1j * self.force_y
 
 
-@dataclasses.dataclass(frozen=True)
-class LogStatistics:
-    """Statistics of one log."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LogStatistics(ForceLag, Orientation):
+    """Statistics of one log; for logs under 10 s, force lag, axes and speed are unknown."""
 
     name: str
     part: Part
@@ -70,29 +71,8 @@ class LogStatistics:
     """Minimum and maximum of each further channel."""
     fin_length_m: float
     """Length of a fin that makes forces of this size [m]."""
-    speed_ratio: float | None = None
-    """Speed of moves, divided by the commanded velocity; this and the following are unknown for
-    logs under 10 s."""
-    force_lag_ms: float | None = None
-    """Lag from angle to force [ms]."""
-    force_share: float = 0.0
-    """Share of the force's variance that the motion explains at best within 0.2 s."""
-    far_lag_ms: float = 0.0
-    """Best lag beyond 0.2 s [ms]."""
-    far_share: float = 0.0
-    """Share that the motion explains at that lag."""
-    late_force_s: Sequence[float] = ()
-    """Starts of the windows in which the force has another lag than in most [s]."""
-    frames: dict[str, float] | None = None
-    """Correlation with the force of a model fin, by assignment of the force axes."""
-    turn_deg: int = 0
-    """Rotation of the recorded force after which a frame fits best [degrees]."""
-    frame: str = "x,y"
-    """That frame."""
-    correlation: float = 0.0
-    """Correlation after this rotation and in this frame."""
-    shaft_correlation: float = 0.0
-    """Largest correlation if the sensor turns with the shaft."""
+    speed_ratio: float | None
+    """Speed of moves, divided by the commanded velocity."""
 
 
 def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[float, str]]:
@@ -145,17 +125,16 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
     """Compute the statistics of a log from its repaired channels."""
     force = columns.force
     rows = len(force)
-    estimates: dict[str, Any] = {}
+    lag = ForceLag()
+    orientation = Orientation()
+    speed = None
     following = 0.0
     if rows >= MIN_ALIGNED_S * RATE_HZ:
-        late = find_late_windows(columns.angle, force)
-        estimates |= find_force_lag(columns.angle, force)._asdict()
-        if late:
-            estimates |= {"force_lag_ms": None, "late_force_s": [row * TICK_S for row in late]}
+        lag = find_force_lag(columns.angle, force)
         # A force that lags by n ticks belongs to the motion n ticks earlier.
-        lag_ticks = round((estimates["force_lag_ms"] or 0) * RATE_HZ / 1e3)
-        estimates |= find_orientation(columns.angle, np.roll(force, -lag_ticks))._asdict()
-        estimates["speed_ratio"] = speed_ratio(*columns[:3])
+        lag_ticks = round((lag.force_lag_ms or 0) * RATE_HZ / 1e3)
+        orientation = find_orientation(columns.angle, np.roll(force, -lag_ticks))
+        speed = speed_ratio(*columns[:3])
         earlier = columns.command_angle[:-FOLLOWING_TICKS]
         later = columns.angle[FOLLOWING_TICKS:]
         if earlier.std() > 0 and later.std() > 0:
@@ -182,5 +161,7 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
             for channel, values in named.log.channels.items()
         },
         fin_length_m=fin_length(columns.angle, force),
-        **estimates,
+        speed_ratio=speed,
+        **vars(lag),
+        **vars(orientation),
     )
