@@ -4,26 +4,37 @@ The angle is the reference clock. A command shows up in the angle's rate after t
 time. The force follows the angle's rate and acceleration, delayed by the bending of the fin and the
 sensor's filter.
 
-To find the force axes, a model fin is fitted to the force under every swap and reversal of the
+To find the force axes, a model fin is fitted to the force under rotations and reversals of the
 measured axes. Thrust points along (cos theta, -sin theta) and grows with the square of the rate.
 Added mass and drag act along (sin theta, cos theta), against acceleration and rate. No coefficient
 may be negative, so a reversed axis fits worse.
 """
 
+import dataclasses
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.optimize import nnls
 
-from softfin.core.quantities import RATE_HZ, TICK_S
+from softfin.core.quantities import TICK_S
 from softfin.data.importing.importing import FORCE_FRAMES, turned
 
 LogSeries: TypeAlias = Float[np.ndarray, "ticks"]
 """One channel, sampled at 100 Hz."""
 
+ForceSeries: TypeAlias = Complex[np.ndarray, "ticks"]
+"""Force along x and y, as real and imaginary parts [N]."""
+
 SEARCHED_TICKS = 20
 """Largest lag in the search, in either direction [10 ms]."""
+
+FAR_TICKS = 400
+"""Largest lag in the search for a clock that is off [10 ms]."""
+
+WINDOW_TICKS = 600
+"""Length of the windows whose force lags are compared [10 ms]."""
 
 RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 """Ticks around a command step in which its response is searched."""
@@ -74,84 +85,162 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
     return float(lag_ticks * TICK_S * 1e3)
 
 
-def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | None:
-    """Estimate the lag from angle to force [ms]: the lag at which a linear model of the motion best
-    explains the force, regardless of its axes.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ForceLag:
+    """Lag from angle to force, and how well a linear model of the motion explains the force."""
 
-    Returns None if the recording is too short, if the best lag is at the edge of the search range,
-    or if the motion explains less than 10% of the force's variance.
+    force_lag_ms: float | None = None
+    """Best lag within 0.2 s [ms]; None if unknown."""
+    force_share: float = 0.0
+    """Share of the force's variance that the motion explains at best within 0.2 s."""
+    far_lag_ms: float = 0.0
+    """Best lag beyond 0.2 s [ms]."""
+    far_share: float = 0.0
+    """Share that the motion explains at that lag."""
+    late_force_s: Sequence[float] = ()
+    """Starts of the windows of 6 s in which the force has another lag than in most [s]."""
+
+
+def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
+    """Find the lag at which a linear model of the motion best explains the force, regardless of its
+    axes.
+
+    The lag is unknown if it changes, if it is at the edge of 0.2 s, if a lag beyond explains 10%
+    more of the force's variance, or if the motion explains less than 30%; in the published
+    networks' logs it explains at least 45%.
     """
-    ticks = SEARCHED_TICKS
-    if len(angle) < MIN_ALIGNED_S * RATE_HZ:
-        return None
-    _, along, rate, acceleration = _motion(angle)
+    ticks = min(FAR_TICKS, len(angle) // 4)
+    shares = explained_shares(angle, force, ticks)
+    is_near = np.abs(np.arange(-ticks, ticks + 1)) <= SEARCHED_TICKS
+    far = np.where(is_near, 0, shares)
+    near = shares[is_near]
+    best = int(near.argmax())
+    late = find_late_windows(angle, force)
+    lag_ms = None
+    is_known = 0 < best < 2 * SEARCHED_TICKS and near[best] >= max(0.3, far.max() - 0.1)
+    if is_known and not late:
+        # Vertex of the parabola through the best lag and its two neighbours.
+        left, middle, right = near[best - 1 : best + 2]
+        lag_ticks = best - SEARCHED_TICKS + (left - right) / 2 / (left - 2 * middle + right)
+        lag_ms = float(lag_ticks * TICK_S * 1e3)
+    return ForceLag(
+        force_lag_ms=lag_ms,
+        force_share=float(near[best]),
+        far_lag_ms=(int(far.argmax()) - ticks) * TICK_S * 1e3,
+        far_share=float(far.max()),
+        late_force_s=late,
+    )
+
+
+def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[np.ndarray, "lags"]:
+    """Return the share of the force's variance that a linear model of the motion explains, for each
+    lag from -ticks to ticks."""
+    heading, rate, acceleration = _motion(angle)
     # Added mass, drag, thrust, damping and a constant, each in both components as the fin turns.
-    terms = [acceleration, rate * np.abs(rate), rate**2, rate, np.ones_like(rate)]
-    columns = []
-    for axis in along:
-        columns += [term * axis for term in terms]
+    terms = np.stack([acceleration, rate * np.abs(rate), rate**2, rate, np.ones_like(rate)])
     # The first and last ticks have no partner at the largest lag.
-    features = np.stack(columns, axis=1)[ticks:-ticks]
-    features = features - features.mean(axis=0)
-    features = features / (features.std(axis=0) + 1e-12)
+    features = np.concatenate([terms * heading.real, terms * heading.imag])[:, ticks:-ticks]
+    features -= features.mean(axis=1, keepdims=True)
+    features /= features.std(axis=1, keepdims=True) + 1e-12
     # With an orthonormal basis B of the space that the features span, they explain the share
-    # |B^T f|^2 / |f|^2 of a force f: one matrix product per lag instead of one fit.
-    sizes, vectors = np.linalg.eigh(features.T @ features)
-    kept = sizes > 1e-9 * sizes[-1]
-    basis = features @ (vectors[:, kept] / np.sqrt(sizes[kept]))
-    smooth = np.stack([smoothed(axis) for axis in force.T], axis=1)
+    # |B f|^2 / |f|^2 of a force f: one product per lag instead of one fit.
+    _, sizes, basis = np.linalg.svd(features, full_matrices=False)
+    ones = np.ones(len(rate) - 2 * ticks)
     explained = np.zeros(2 * ticks + 1)
-    for index in range(len(explained)):
-        part = smooth[index : index + len(basis)]
-        part = part - part.mean(axis=0)
-        explained[index] = ((basis.T @ part) ** 2).sum() / ((part**2).sum() + 1e-12)
-    best = int(explained.argmax())
-    if best in (0, 2 * ticks) or explained[best] < 0.1:
-        return None
-    # Vertex of the parabola through the best lag and its two neighbours.
-    left, middle, right = explained[best - 1 : best + 2]
-    lag_ticks = best - ticks + (left - right) / 2 / (left - 2 * middle + right)
-    return float(lag_ticks * TICK_S * 1e3)
+    total = np.full(2 * ticks + 1, 1e-12)
+    for axis in (force.real, force.imag):
+        smooth = smoothed(axis - axis.mean())
+        for vector in basis[sizes > 1e-5 * sizes[0]]:
+            explained += np.correlate(smooth, vector, "valid") ** 2
+        total += np.correlate(smooth**2, ones, "valid")
+        total -= np.correlate(smooth, ones, "valid") ** 2 / len(ones)
+    return np.asarray(explained / total)
 
 
-def frame_correlations(
-    angle: LogSeries, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
-) -> dict[str, float]:
+def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[float]:
+    """Return the starts [s] of the windows of `WINDOW_TICKS` in which the force has another lag
+    than in most.
+
+    There, the own lag explains nearly as much of the variance as in most windows, and at least 12%
+    more than a lag within 40 ms of the usual lag; in good logs, up to 10% more.
+    """
+    starts = np.arange(0, len(angle) - WINDOW_TICKS + 1, WINDOW_TICKS // 2)
+    windows = [slice(start, start + WINDOW_TICKS) for start in starts]
+    shares = np.stack([explained_shares(angle[rows], force[rows], 60) for rows in windows])
+    usual = int(np.median(shares.argmax(axis=1)))
+    at_usual = shares[:, max(usual - 4, 0) : usual + 5].max(axis=1)
+    own = shares.max(axis=1)
+    is_late = (own > at_usual + 0.12) & (own > 0.8 * np.median(own))
+    late: list[float] = (starts[is_late] * TICK_S).tolist()
+    return late
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Orientation:
+    """Correlations between the force, read in other axes, and the best fit of a model fin."""
+
+    frames: dict[str, float] | None = None
+    """Correlation in each of `FORCE_FRAMES`; None if unknown."""
+    turn_deg: int = 0
+    """Counterclockwise rotation of the recorded force after which one of these frames fits best
+    [degrees], in steps of 5 from -45 to 45."""
+    frame: str = "x,y"
+    """That frame."""
+    correlation: float = 0.0
+    """Correlation after this rotation and in this frame."""
+    shaft_correlation: float = 0.0
+    """Largest correlation if the sensor turns with the shaft."""
+
+
+def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
+    """Search all frames and rotations for the axes in which a model fin fits the force best."""
+    fits = {}
+    on_shaft = 0.0
+    for degrees in range(-45, 46, 5):
+        turned_force = force * np.exp(1j * np.radians(degrees))
+        fits[degrees] = frame_correlations(angle, turned_force)
+        if degrees % 15 == 0:
+            # At a positive angle, the shaft is turned clockwise.
+            on_mount = turned_force * np.exp(-1j * angle)
+            on_shaft = max(on_shaft, *frame_correlations(angle, on_mount).values())
+    turn_deg = max(fits, key=lambda degrees: max(fits[degrees].values()))
+    best = fits[turn_deg]
+    frame = max(best, key=best.__getitem__)
+    return Orientation(
+        frames=fits[0],
+        turn_deg=turn_deg,
+        frame=frame,
+        correlation=best[frame],
+        shaft_correlation=on_shaft,
+    )
+
+
+def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]:
     """Return the correlation between the force, read in each of `FORCE_FRAMES`, and the best fit of
     a model fin."""
-    across, along, rate, acceleration = _motion(angle)
+    heading, rate, acceleration = _motion(angle)
+    speed = np.abs(rate)
     # Drag, added mass, quadratic thrust and linear thrust.
-    terms = [
-        -rate * np.abs(rate) * across,
-        -acceleration * across,
-        rate**2 * along,
-        np.abs(rate) * along,
-    ]
-    # A force that lags by n ticks belongs to the motion n ticks earlier.
-    ticks = round(lag_ms * RATE_HZ / 1e3)
-    count = len(angle) - abs(ticks)
-    model = np.stack(terms, axis=-1)[:, max(-ticks, 0) :][:, :count]
-    smooth = np.stack([smoothed(axis) for axis in force.T])[:, max(ticks, 0) :][:, :count]
-    model = (model - model.mean(axis=1, keepdims=True)).reshape(-1, len(terms))
-    smooth = smooth - smooth.mean(axis=1, keepdims=True)
-    model = model / (np.linalg.norm(model, axis=0) + 1e-12)
-    smooth = smooth / (np.linalg.norm(smooth) + 1e-12)
+    terms = np.stack([-1j * rate * speed, -1j * acceleration, rate**2, speed]) * heading
+    terms -= terms.mean(axis=1, keepdims=True)
+    model = np.concatenate([terms.real, terms.imag], axis=1).T
+    model /= np.linalg.norm(model, axis=0) + 1e-12
+    smooth = np.stack([smoothed(force.real), smoothed(force.imag)])
+    smooth -= smooth.mean(axis=1, keepdims=True)
+    smooth /= np.linalg.norm(smooth) + 1e-12
     # QR reduces the fit from two equations per tick to four equations.
     basis, model = np.linalg.qr(model)
     correlations = {}
     for frame in FORCE_FRAMES:
-        force = basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))
+        projected = basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))
         # Non-negative least squares: a reversed axis would need a negative coefficient.
-        coefficients, _ = nnls(model, force)
+        coefficients, _ = nnls(model, projected)
         correlations[frame] = float(np.linalg.norm(model @ coefficients))
     return correlations
 
 
-def _motion(
-    angle: LogSeries,
-) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], LogSeries, LogSeries]:
-    """Return directions across and along the fin, its rate [rad/s] and acceleration [rad/s^2]."""
-    cos = np.cos(smoothed(angle))
-    sin = np.sin(smoothed(angle))
+def _motion(angle: LogSeries) -> tuple[ForceSeries, LogSeries, LogSeries]:
+    """Return the direction of thrust as a complex number, the fin's rate [rad/s] and its
+    acceleration [rad/s^2]."""
     rate = measure_rate(angle)
-    return np.stack([sin, cos]), np.stack([cos, -sin]), rate, measure_rate(rate)
+    return np.exp(-1j * smoothed(angle)), rate, measure_rate(rate)

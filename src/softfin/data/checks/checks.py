@@ -3,13 +3,23 @@
 `LOG_CHECKS`, at the end of this file, lists the checks of a single log.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
+from softfin.data.checks.signals import (
+    clipped_rows,
+    drift,
+    frozen_runs,
+    repeated_share,
+    roughness,
+    usual_range,
+    velocity_ratio,
+)
 from softfin.data.checks.statistics import (
     REST_RATE_RAD_S,
     LogColumns,
@@ -17,15 +27,17 @@ from softfin.data.checks.statistics import (
     channels_in_counts,
     channels_in_degrees,
     known_lags,
-    true_runs,
-    velocity_slope,
 )
 from softfin.data.importing.clocks import NamedLog
-from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
+from softfin.data.importing.importing import (
+    ANGLES,
+    SIGNED,
+    AngleChannel,
+    ImportConfig,
+    compose_frames,
+)
+from softfin.data.importing.names import RPM, UNITS
 from softfin.data.issues import Issue, Severity, counted
-
-STUCK_S = 1.0
-"""Shortest run of a constant value that is reported [s]."""
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
 """Plausible lags [ms].
@@ -40,17 +52,47 @@ LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
 USUAL_LAG_MS = 30.0
 """Typical value of both lags when the clocks agree [ms]."""
 
-MIN_FRAME_CORRELATION = 0.12
-"""Lowest plausible correlation between the force and a model fin, in the best frame; the noisiest
-of the published networks' logs has 0.2."""
+MIN_FRAME_CORRELATION = 0.2
+"""Lowest plausible correlation between the force and a model fin in the best axes; the noisiest of
+the published networks' logs has 0.31."""
+
+MIN_TURN_DEG = 15
+"""Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
+turned by up to 10 degrees."""
+
+SHAFT_GAIN = 0.03
+"""Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
 
 OFFSET_SHARE = 0.2
 """Largest plausible mean force on the fin at rest, divided by the standard deviation of the
 force."""
 
+MIN_DRIFT_S = 30
+"""Shortest log in which a drift is told from the random motion [s]."""
+
+DRIFT_SHARE = 0.8
+"""Largest plausible drift of a force over a log, divided by its standard deviation; good logs of
+30 s have up to 0.73."""
+
+MIN_ROUGHNESS = 0.3
+"""Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
+logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
+
+FIN_LENGTHS_M = (0.03, 1.0)
+"""Lengths of a fin that are plausible from the size of the forces."""
+
+VELOCITY_UNITS = {"deg": np.pi / 180, "rpm": RPM, "rad": 180 / np.pi}
+"""Units that are suggested for a velocity, by the factor that corrects it. A velocity in rad/s is
+only 57 times too small if it was read as degrees."""
+
+FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
+MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
+"""Rotations [degrees] that are equivalent to a frame, the latter after reversing y."""
+
 COUNTS_FIX = (
     "convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts per "
-    "turn; convert the velocities from the unit of the drive as well"
+    "turn (360 degrees are usually 4,096 counts; XL-320 and AX: 300 degrees are 1,023 counts); "
+    "convert the velocities from the unit of the drive as well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 
@@ -83,6 +125,11 @@ class CheckedLog(NamedTuple):
         """Return an issue with this log's name."""
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
 
+    @property
+    def moving(self) -> Bool[np.ndarray, "ticks"]:
+        """Rows in which the force must change because the fin moves by more than 0.2 rad/s."""
+        return np.asarray(np.abs(measure_rate(self.calm.angle)) > 0.2)
+
 
 def check_counts(log: CheckedLog) -> Iterator[Issue]:
     """Find angles in encoder counts that were read as radians."""
@@ -106,10 +153,9 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
         values = getattr(log.raw, channel)
         ranges.append(f"{channel} ranges from {values.min():.4g} to {values.max():.4g}")
         are_integers = are_integers and bool((values == np.round(values)).all())
-    option = "deg"
+    fix = "--angles deg"
     if set(wrong) != set(ANGLES):
-        option = ",".join(f"{channel}=deg" for channel in wrong)
-    fix = f"--angles {option}"
+        fix = _angles_option({channel: "deg" for channel in ANGLES if channel in wrong})
     if are_integers:
         fix = f"{fix}; if these integers are encoder counts instead, {COUNTS_FIX}"
     message = f"{'; '.join(ranges)}: these look like degrees, not rad"
@@ -124,10 +170,10 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
         rows = np.flatnonzero(values != calm)
         if rows.size:
             highest = np.abs(values - calm)[rows].max()
-            usual_range = np.ptp(np.percentile(values, [1, 99]))
             message = (
                 f"{counted(rows.size, 'spike')} of up to {highest:.3g} {unit} relative to the "
-                f"neighbouring samples; 98% of all samples lie within a range of {usual_range:.3g}"
+                f"neighbouring samples; 98% of all samples lie within a range of "
+                f"{usual_range(values):.3g}"
             )
             fix = (
                 "check the cable and the sensor's range; repair these samples in the file or "
@@ -157,35 +203,26 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
-    """Find channels that keep one value although they should change."""
+    """Find channels that keep their value although they should change."""
     columns = log.columns
-    # On a fin that moves at 0.2 rad/s the force changes, and a drive that is 0.1 rad away from its
-    # target moves.
-    moving = np.abs(measure_rate(columns.angle)) > 0.2
+    # On a fin that moves the force changes, and a drive that is 0.1 rad away from its target moves.
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
-        driven = moving
-        cause = "the fin is moving"
-        if channel == "angle":
-            driven = behind
-            cause = "the command differs from it"
+        driven = behind if channel == "angle" else log.moving
         values = getattr(columns, channel)
         runs = []
-        total = 0
-        for start, last in true_runs(np.diff(values) == 0):
-            rows = last + 1 - start
+        for start, end in frozen_runs(values):
             # The first 0.2 s are dead time. More than half a second of the run must count as
             # driven, because a blocked drive may push without moving.
-            num_driven = driven[start + round(0.2 * RATE_HZ) : last + 1].sum()
-            if rows >= STUCK_S * RATE_HZ and num_driven > 0.5 * STUCK_S * RATE_HZ:
-                runs.append((rows, -start))
-                total += rows
+            if driven[start + RATE_HZ // 5 : end].sum() > RATE_HZ // 2:
+                runs.append((end - start, -start))
         if runs:
             # The first of the longest runs: starts are negated for max().
             longest, start = max(runs)
+            cause = "the command differs from it" if channel == "angle" else "the fin is moving"
             message = (
-                f"stuck at {values[-start]:.4g} {unit} for {longest * TICK_S:.2f} s while {cause}; "
-                f"{counted(len(runs), 'such run')}, {total * TICK_S:.2f} s in total"
+                f"stuck at {values[-start]:.4g} {unit}, or within one count of it, for "
+                f"{longest * TICK_S:.2f} s while {cause}; {counted(len(runs), 'such run')}"
             )
             fix = "check the sensor and the drive; remove these rows or record again"
             yield log.issue("error", "stuck", channel, message, fix, -start)
@@ -194,52 +231,106 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
 def check_saturation(log: CheckedLog) -> Iterator[Issue]:
     """Find forces that repeatedly stay at their extreme, where the sensor's range ends."""
     for channel in ("force_x", "force_y"):
-        values = getattr(log.columns, channel)
-        # Any series has an extreme; only a clipped one stays there for several samples, repeatedly.
-        for extreme in sorted({float(values.min()), float(values.max())}):
-            runs = []
-            rows = 0
-            for start, end in true_runs(values == extreme):
-                if end - start >= 3:
-                    runs.append((start, end))
-                    rows += end - start
-            if len(runs) >= 2 and 10 <= rows < len(values):
-                message = (
-                    f"clipped at {extreme:.4g} N: {rows:,} samples, in {len(runs):,} runs of at "
-                    "least 3"
-                )
+        for sign in (-1, 1):
+            values = sign * getattr(log.calm, channel)
+            runs = clipped_rows(values, log.moving)
+            if len(runs) >= 2:
+                message = f"clipped at {sign * values.max():.4g} N in {len(runs):,} runs"
                 fix = "select a larger range on the sensor and record again"
                 yield log.issue("warning", "saturated", channel, message, fix, runs[0][0])
 
 
+def check_force_sensor(log: CheckedLog) -> Iterator[Issue]:
+    """Find forces that repeat, that were filtered, or that are implausible for any fin."""
+    column = "force_x, force_y"
+    force = log.columns.force
+    repeated = repeated_share(force, log.moving)
+    if repeated > 0.1:
+        # A fit hardly suffers from single rows that are repeated.
+        severity: Severity = "note" if repeated < 0.4 else "warning"
+        message = f"{repeated:.0%} of the rows of the moving fin repeat the row before"
+        fix = "read the sensor once per row, at 100 Hz or faster, and record again"
+        yield log.issue(severity, "repeated values", column, message, fix)
+    elif roughness(force) < MIN_ROUGHNESS:
+        message = "low-pass filtered: changes by hardly more than a few hertz"
+        fix = (
+            "switch off the filter of the sensor, its driver or its broadcaster, or set it to 20 "
+            "Hz or more, and record again"
+        )
+        yield log.issue("warning", "filtered force", column, message, fix)
+    low, high = FIN_LENGTHS_M
+    length = log.statistics.fin_length_m
+    if np.ptp(log.columns.angle) > 0.1 and not low < length < high:
+        severity = "warning" if low / 2.5 < length < 2.5 * high else "error"
+        message = f"forces of this size need a fin of about {length:.2g} m"
+        fix = "if the fin has another size, set --force-unit or convert the columns to N"
+        yield log.issue(severity, "force size", column, message, fix)
+
+
 def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     """Find a velocity that is not the rate of the angle."""
-    correlation, slope = velocity_slope(log.columns)
-    if slope == 0:
+    correlation, ratio = velocity_ratio(log.calm.angle, log.columns.velocity)
+    severity: Severity = "error"
+    message = f"velocity is {ratio:.3g} times the angle's rate (correlation {correlation:.2f})"
+    if ratio == 0:
         # Many publishers of joint states leave the velocity at 0. A constant velocity is right if
         # the angle changes at that rate. One sample in a hundred may be a spike.
         velocity = log.columns.velocity[0]
-        if np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
-            message = f"the velocity stays at {velocity:.3g} rad/s while the angle changes"
-            fix = "use --columns velocity=- to derive it from the angle"
-            yield log.issue("error", "constant velocity", "velocity", message, fix)
-        return
-    message = f"velocity is {slope:.3g} times the angle's rate (correlation {correlation:.2f})"
-    if correlation < -0.5:
-        yield log.issue(
-            "error",
-            "velocity sign",
-            "velocity",
-            f"{message}: wrong sign",
-            "--negate velocity",
-        )
+        rest = np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99)
+        if rest <= REST_RATE_RAD_S:
+            return
+        name = "constant velocity"
+        message = f"the velocity stays at {velocity:.3g} rad/s while the angle changes"
+        fix = "use --columns velocity=- to derive it from the angle"
+    elif correlation < -0.5:
+        name = "velocity sign"
+        fix = "--negate velocity"
     elif correlation < 0.5:
+        severity = "warning"
+        name = "velocity"
         fix = "map another column, or use --columns velocity=- to derive it from the angle"
-        message = f"{message}: probably not the fin's velocity"
-        yield log.issue("warning", "velocity", "velocity", message, fix)
-    elif not 0.5 < slope < 2:
-        fix = "set its unit, e.g. --angles velocity=deg for a factor of 57, or map another column"
-        yield log.issue("error", "velocity unit", "velocity", f"{message}: wrong unit", fix)
+    elif not 0.95 < ratio < 1.05:
+        severity = "warning" if 0.5 < ratio < 2 else "error"
+        name = "velocity unit"
+        fix = _unit_option(log.config, "velocity", 1 / ratio) or (
+            "check the clock, because a loop that is slower than its stamps has such a ratio, and "
+            "the velocity's unit"
+        )
+    else:
+        return
+    yield log.issue(severity, name, "velocity", message, fix)
+
+
+def check_speed(log: CheckedLog) -> Iterator[Issue]:
+    """Find commanded velocities at which the fin does not move."""
+    ratio = log.statistics.speed_ratio
+    if ratio is None or 0.9 < ratio < 1.1:
+        return
+    name = "command velocity unit"
+    severity: Severity = "error"
+    fix = _unit_option(log.config, "command_velocity", ratio)
+    if fix is None and 0.05 < ratio < 20:
+        name = "speed"
+        severity = "warning"
+    fix = fix or (
+        "compare the column with the drive's manual, and the clock with the loop's rate; if only "
+        f"the unit is wrong, multiply the column by {ratio:.3g}; angles in 10-bit counts (1,023 "
+        "are 300 degrees) that were read as 12-bit counts have a ratio of 0.29"
+    )
+    message = f"the fin moves at {ratio:.3g} times the commanded velocity"
+    yield log.issue(severity, name, "command_velocity", message, fix)
+
+
+def _unit_option(config: ImportConfig, channel: AngleChannel, factor: float) -> str | None:
+    """Return the option for the unit that makes a velocity larger by this factor, or None."""
+    for unit, expected in VELOCITY_UNITS.items():
+        if 0.93 < factor / expected < 1.07:
+            return _angles_option(dict(config.angles) | {channel: unit})
+    return None
+
+
+def _angles_option(angles: Mapping[AngleChannel, str]) -> str:
+    return "--angles " + ",".join(f"{channel}={unit}" for channel, unit in angles.items())
 
 
 def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
@@ -272,12 +363,10 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         yield log.issue("error", "constant command", column, message, fix)
     elif following < -0.3:
         message = f"the angle moves opposite to its command: correlation {following:.2f}"
-        if _is_mirrored(log.statistics):
+        if log.statistics.frame == "x,-y":
             column = "angle"
             message = f"{message}, and the force fits the mirrored angle"
-        # The complete new value of the option: a channel that is already negated is removed.
-        names = [name for name in SIGNED if (name in log.config.negate) != (name == column)]
-        fix = f"--negate {','.join(names)}" if names else "remove --negate"
+        fix = _negate_option(log.config, [column])
         yield log.issue("error", "command sign", column, message, fix)
     elif following < 0.3:
         message = f"the angle hardly follows its command: correlation {following:.2f} after 150 ms"
@@ -286,42 +375,130 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
-    """Find force axes that are swapped or negated, and a force that is unrelated to the motion."""
-    frames = log.statistics.frames
-    if frames is None or (log.statistics.following < -0.3 and _is_mirrored(log.statistics)):
+    """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
+    a force that is unrelated to the motion."""
+    found = log.statistics
+    is_angle_mirrored = found.following < -0.3 and found.frame == "x,-y"
+    if found.frames is None or is_clock_off(found) or is_angle_mirrored:
         return
-    best = max(frames, key=frames.__getitem__)
-    given = frames["x,y"]
-    if frames[best] > max(given + 0.1, MIN_FRAME_CORRELATION):
-        message = (
-            f"axes swapped or negated: the correlation with the force of a model fin is "
-            f"{given:.2f} as recorded and {frames[best]:.2f} as {best}"
-        )
-        fix = f"--force={compose_frames(log.config.force, best)}"
-        yield log.issue("error", "force axes", "force_x, force_y", message, fix)
-    elif given < MIN_FRAME_CORRELATION:
-        message = (
-            f"the force is almost unrelated to the motion: correlation {given:.2f} with the force "
-            "of a model fin"
-        )
+    given = found.frames["x,y"]
+    in_frame = found.frames[found.frame]
+    severity: Severity = "error"
+    if found.correlation < MIN_FRAME_CORRELATION:
+        severity = "warning"
+        name = "unexplained force"
+        reading = f"at most {found.correlation:.2f} in other axes"
         fix = "check the clocks, and check that force and angle are from the same experiment"
-        yield log.issue("warning", "unexplained force", "force_x, force_y", message, fix)
+    elif found.shaft_correlation > found.correlation + SHAFT_GAIN:
+        name = "shaft frame"
+        reading = f"{found.shaft_correlation:.2f} if the sensor turns with the shaft"
+        fix = (
+            "turn the forces in the file back by the angle a: x cos(a) + y sin(a), "
+            "y cos(a) - x sin(a); or fix the sensor to the mount and record again"
+        )
+    elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > in_frame + 0.02:
+        name = "turned force"
+        reading = f"{found.correlation:.2f} turned by {found.turn_deg} degrees, as {found.frame}"
+        fix = (
+            f"turn the forces in the file by a = {found.turn_deg} degrees: "
+            "x cos(a) - y sin(a), x sin(a) + y cos(a); then use "
+            f"{_axes_options(log.config, found.frame, found.turn_deg)}"
+        )
+    elif in_frame > given + 0.1:
+        name = "force axes"
+        reading = f"{in_frame:.2f} as {found.frame}"
+        fix = _axes_options(log.config, found.frame, 0)
+    else:
+        return
+    low, high = np.degrees([log.calm.command_angle.min(), log.calm.command_angle.max()])
+    # The right axes depend on the zero of the angle, which is doubtful if no command reaches it.
+    excludes_zero = (low > 0 or high < 0) and not log.config.angle_zero
+    if excludes_zero and name in ("turned force", "force axes"):
+        name = "angle zero"
+        reading = f"and the commands range from {low:.0f} to {high:.0f} degrees, without 0"
+        centre = _angle_zero_option(log.config, 5 * round((low + high) / 10))
+        fix = (
+            f"set the angle at which the fin points along -x; in the middle of its range, {centre}"
+        )
+    message = f"correlation with the force of a model fin {given:.2f} as recorded, {reading}"
+    yield log.issue(severity, name, "force_x, force_y", message, fix)
+
+
+def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
+    """Return the option for a frame, and the options that explain a force as well that fits in this
+    frame after a rotation."""
+    option = f"--force={compose_frames(config.force, frame)}"
+    turn = FRAME_TURNS.get(frame, 0) + turn_deg
+    mirrored = ""
+    if frame in MIRRORED_TURNS:
+        turn = MIRRORED_TURNS[frame] - turn_deg
+        mirrored = f" --force={compose_frames(config.force, 'x,-y')}"
+    if turn:
+        zero = _angle_zero_option(config, -turn)
+        return (
+            f"{option}; or, if the fin is at {turn} degrees where the log has 0, {zero}{mirrored}"
+        )
+    negated = _negate_option(config, ("command_angle", "angle"))
+    return f"{option}; or, if positive angles turn the fin towards -y, {negated}"
+
+
+def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
+    # The complete new value of the option: a channel that is already negated is removed.
+    changed = [name for name in SIGNED if (name in config.negate) != (name in names)]
+    return f"--negate {','.join(changed)}" if changed else "remove --negate"
+
+
+def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
+    """Return the option that makes a recorded angle the new angle 0."""
+    unit = config.angles.get("angle", "deg")
+    shift = np.radians(degrees) / UNITS["angle"][unit]
+    if "angle" in config.negate:
+        shift = -shift
+    return f"--angle-zero {config.angle_zero + shift:.4g} ({unit})"
+
+
+def is_clock_off(found: LogStatistics) -> bool:
+    """Return whether only a lag beyond 0.2 s explains the force. In good logs of 10 s and more, a
+    far lag explains at most 3% more than a near one, by chance."""
+    return found.far_share > found.force_share + 0.1
+
+
+def check_force_clock(log: CheckedLog) -> Iterator[Issue]:
+    """Find a force whose clock is off, always or at times."""
+    found = log.statistics
+    fix = "synchronize the clocks, or stamp sensor and drive on one computer, and record again"
+    if is_clock_off(found):
+        message = (
+            f"no lag within 0.2 s explains the force: {found.force_share:.0%} of its variance, "
+            f"and {found.far_share:.0%} at {found.far_lag_ms / 1e3:.1f} s"
+        )
+        yield log.issue("error", "force clock", "force_x, force_y", message, fix)
+    elif found.late_force_s:
+        starts = ", ".join(f"{start:.0f}" for start in found.late_force_s)
+        message = f"another lag than in the rest of the log, in the 6 s from {starts} s"
+        row = round(found.late_force_s[0] * RATE_HZ)
+        yield log.issue("error", "changing lag", "force_x, force_y", message, fix, row)
 
 
 def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
-    """Find a non-zero force while the fin is at rest."""
+    """Find a force that is not zero while the fin is at rest, or that drifts."""
     found = log.statistics
-    for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
-        if abs(offset) > OFFSET_SHARE * deviation:
-            message = (
-                f"{offset:+.2g} N while the fin is at rest; the standard deviation over the log is "
-                f"{deviation:.2g} N"
-            )
+    offsets = found.offset_n or (0.0, 0.0)
+    for axis, offset, deviation in zip(AXES, offsets, found.force_std_n, strict=True):
+        column = f"force_{axis}"
+        change = drift(getattr(log.calm, column))
+        of_deviation = f"the standard deviation over the log is {deviation:.2g} N"
+        if abs(change) > DRIFT_SHARE * deviation and found.rows >= MIN_DRIFT_S * RATE_HZ:
+            message = f"drifts by {change:+.2g} N over the log; {of_deviation}"
+            fix = "let the sensor warm up, or subtract the drift from the column"
+            yield log.issue("warning", "force drift", column, message, fix)
+        elif abs(offset) > OFFSET_SHARE * deviation:
+            message = f"{offset:+.2g} N while the fin is at rest; {of_deviation}"
             fix = (
                 "tare the sensor in still water before each log, or subtract this offset from the "
                 "column"
             )
-            yield log.issue("warning", "force offset", f"force_{axis}", message, fix)
+            yield log.issue("warning", "force offset", column, message, fix)
 
 
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
@@ -342,24 +519,18 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
                 continue
             # Commands that are stamped late make the lag look shorter; a force that is stamped late
             # makes it look longer.
+            late = lag - USUAL_LAG_MS
+            column = "force_x, force_y"
+            ends = "angle to force"
             if name == "command":
-                follower = "the angle"
-                leader = "its command"
+                late = -late
                 column = "command_angle"
-                late = USUAL_LAG_MS - lag
-            else:
-                follower = "the force"
-                leader = "the angle"
-                column = "force_x, force_y"
-                late = lag - USUAL_LAG_MS
-            relation = f"lags {leader} by {lag:.0f} ms"
-            if lag < 0:
-                relation = f"leads {leader} by {-lag:.0f} ms"
+                ends = "command to angle"
             usually = ""
             if len(measured) > 1:
                 usually = f" (median of {len(measured)} logs: {usual:.0f} ms)"
             message = (
-                f"{follower} {relation}{usually}; plausible lags are {least:.0f} to {most:.0f} ms, "
+                f"{lag:.0f} ms from {ends}{usually}; plausible are {least:.0f} to {most:.0f} ms, "
                 "so a clock is off"
             )
             late += getattr(config, f"{name}_lag_ms")
@@ -412,19 +583,18 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
 
 
-def _is_mirrored(found: LogStatistics) -> bool:
-    return found.frames is not None and max(found.frames, key=found.frames.__getitem__) == "x,-y"
-
-
 LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_degrees,
     check_spikes,
     check_jumps,
     check_stuck,
     check_saturation,
+    check_force_sensor,
     check_velocity,
     check_commanded_velocity,
+    check_speed,
     check_following,
+    check_force_clock,
     check_force_axes,
     check_force_offset,
 )

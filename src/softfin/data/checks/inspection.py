@@ -17,7 +17,9 @@ from softfin.data.checks.checks import (
     check_following,
     check_force_axes,
     check_lags,
+    check_speed,
 )
+from softfin.data.checks.signals import without_spikes
 from softfin.data.checks.statistics import (
     LogColumns,
     LogStatistics,
@@ -25,7 +27,6 @@ from softfin.data.checks.statistics import (
     known_lags,
     measure,
     to_columns,
-    without_spikes,
 )
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
@@ -124,6 +125,7 @@ def inspect(
         pooled = CheckedLog(joined, joined, joined, together, config)
         found += check_following(pooled)
         found += check_force_axes(pooled)
+        found += check_speed(pooled)
         found += check_lags([together], config)
     issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)

@@ -1,0 +1,184 @@
+"""Faults of logs of three fins: the issue that each makes, and what its fix says."""
+
+import numpy as np
+import pytest
+
+from softfin.data.checks.inspection import inspect
+from softfin.data.importing.importing import ImportConfig
+from softfin.data.issues import Issue
+from tests.data.faulty import (
+    FAULTS,
+    FORCES,
+    Columns,
+    Fault,
+    cut,
+    late,
+    late_at_times,
+    log_of,
+    named,
+    shifted,
+    slower_loop,
+    tank_logs,
+    times,
+    to_columns,
+    turned,
+)
+
+
+def found(*logs: Columns, config: ImportConfig | None = None) -> dict[str, Issue]:
+    inspection = inspect(named(*map(log_of, logs), test=0), config=config)
+    return {one.name: one for one in inspection.issues if one.name != "no test logs"}
+
+
+def faulty(fault: Fault, fin: str = "tank", index: int = 0) -> Columns:
+    columns = to_columns(tank_logs(index + 1, fin)[index])
+    fault(columns)
+    return columns
+
+
+EXPECTED = {
+    "turned by 20 degrees": ("error", "turned force", "a = -2"),
+    "turned by -30 degrees": ("error", "turned force", "degrees"),
+    "turned by 45 degrees": ("error", "turned force", ""),
+    "turned with the shaft": ("error", "shaft frame", "fix the sensor"),
+    "drift": ("warning", "force drift", "subtract the drift"),
+    "low-pass of 2 Hz": ("warning", "filtered force", "switch off"),
+    "low-pass in both directions": ("warning", "filtered force", "switch off"),
+    "sensor at 10 Hz": ("warning", "repeated values", "100 Hz"),
+    "clipped": ("warning", "saturated", "larger range"),
+    "frozen": ("error", "stuck", "remove these rows"),
+    "single samples": ("error", "spikes", "repair"),
+    "force 300 ms late": ("error", "force clock", "synchronize"),
+    "force 3 s early": ("error", "force clock", "synchronize"),
+    "force late at times": ("error", "changing lag", "synchronize"),
+    "force in counts": ("error", "force size", "N"),
+    "velocity in rpm": ("error", "velocity unit", "velocity=rpm"),
+    "velocity in degrees": ("error", "velocity unit", "velocity=deg"),
+    "clock": ("warning", "velocity unit", "check the clock"),
+    "command in rpm": ("error", "command velocity unit", "--angles command_velocity=rpm"),
+    "command in degrees": ("error", "command velocity unit", "--angles command_velocity=deg"),
+    "command read as degrees": ("error", "command velocity unit", "--angles command_velocity=rad"),
+    "command in registers": ("error", "command velocity unit", "multiply the column by 0.024"),
+    "10-bit counts": ("warning", "speed", "1,023"),
+    "repeated rows": ("note", "repeated values", "once per row"),
+}
+"""Severity and name of the issue, and a part of its fix."""
+
+
+@pytest.mark.parametrize("fin", ["tank", "hand", "vehicle"])
+@pytest.mark.parametrize("fault", EXPECTED)
+def test_each_fault_is_found_with_its_severity_and_fix(fault, fin):
+    severity, name, fix = EXPECTED[fault]
+    issue = found(faulty(FAULTS[fault], fin))[name]
+    assert issue.severity == severity
+    assert fix in issue.fix
+
+
+@pytest.mark.parametrize("fin", ["tank", "hand", "vehicle"])
+def test_nothing_is_wrong_with_good_logs_of_three_fins(fin):
+    columns = [to_columns(log) for log in tank_logs(5, fin)]
+    assert not found(*columns)
+    assert not found(*(to_columns(cut(log, 1000, 2500)) for log in tank_logs(5, fin)[:2]))
+
+
+ONLY_A_CLOCK = ("force axes", "turned force", "shaft frame", "force lag")
+
+
+@pytest.mark.parametrize("fin", ["tank", "hand", "vehicle"])
+@pytest.mark.parametrize("ticks", [30, 60, -120, 320])
+def test_a_clock_that_is_off_gets_no_advice_about_axes_or_lags(ticks, fin):
+    issues = found(faulty(late(ticks), fin))
+    assert not set(ONLY_A_CLOCK) & issues.keys()
+    assert "--" not in issues["force clock"].fix
+    assert f"{ticks / 100 + 0.02:.1f} s" in issues["force clock"].message
+
+
+def test_times_of_late_stretches_are_told():
+    issue = found(faulty(late_at_times))["changing lag"]
+    assert "the 6 s from 12, 42 s" in issue.message
+
+
+@pytest.mark.parametrize("degrees", [90, 180])
+def test_the_zero_of_the_angle_comes_before_the_axes(degrees):
+    # Servos are often at 90 degrees in their centre.
+    issues = found(faulty(shifted(degrees)))
+    assert issues["angle zero"].severity == "error"
+    assert issues["angle zero"].fix.endswith(f"--angle-zero {degrees} (deg)")
+    assert "force axes" not in issues
+
+
+def test_an_angle_zero_that_was_set_is_believed_and_goes_on_from_there():
+    # A quarter turn of the force that a fin with only positive angles may have.
+    config = ImportConfig(angles={"angle": "rad"}, angle_zero=0.5)
+    fix = found(faulty(shifted(90)), config=config)["force axes"].fix
+    assert fix.startswith("--force=y,-x")
+    assert "--angle-zero 2.071 (rad)" in fix
+
+
+def test_an_angle_zero_off_by_20_degrees_and_a_turned_sensor_are_both_listed():
+    fix = found(faulty(shifted(20)))["turned force"].fix
+    assert "by a = -20 degrees" in fix
+    assert "--angle-zero 20 " in fix
+
+
+@pytest.mark.parametrize(
+    ("quarters", "frame", "zero"), [(1, "y,-x", 90), (2, "-x,-y", -180), (3, "-y,x", -90)]
+)
+def test_axes_and_angle_zero_explain_a_quarter_turn_equally(quarters, frame, zero):
+    fix = found(faulty(turned(90 * quarters)))["force axes"].fix
+    assert fix.startswith(f"--force={frame};")
+    assert f"at {-zero} degrees where the log has 0" in fix
+    assert f"--angle-zero {zero} " in fix
+    # That is so: the other reading makes the log good, but for the range of the commands.
+    assert "force axes" not in found(
+        faulty(lambda log: (turned(90 * quarters)(log), shifted(-zero)(log)))
+    )
+
+
+def test_a_mirrored_sensor_and_mirrored_angles_are_both_listed():
+    fix = found(faulty(times("force_y_n", -1)))["force axes"].fix
+    assert fix.startswith("--force=x,-y;")
+    assert "--negate command_angle,angle" in fix
+
+
+def test_a_clock_that_is_off_shows_in_the_speed_as_well():
+    issues = found(faulty(slower_loop))
+    assert issues["speed"].severity == "warning"
+    assert "1.25 times" in issues["speed"].message
+
+
+def test_following_the_advice_never_hides_a_fault():
+    """Of a loop that is slower than its stamps, with the velocity derived from the angle."""
+    columns = faulty(slower_loop)
+    columns["velocity_rad_s"] = np.gradient(columns["angle_rad"], 0.01)
+    assert found(columns).keys() == {"speed"}
+
+
+def test_a_unit_is_added_to_those_that_were_given():
+    config = ImportConfig(angles={"velocity": "deg"})
+    columns = faulty(times("command_velocity_rad_s", 9.549))
+    fix = found(columns, config=config)["command velocity unit"].fix
+    assert fix == "--angles velocity=deg,command_velocity=rpm"
+
+
+def test_advice_leads_the_log_of_a_servo_with_its_centre_at_90_degrees_to_its_true_axes():
+    columns = faulty(shifted(90))
+    mirror = times("force_y_n", -1)
+    mirror(columns)
+    assert found(columns).keys() == {"angle zero", "no rest"}
+    shifted(-90)(columns)
+    issues = found(columns)
+    assert issues.keys() == {"force axes"}
+    assert issues["force axes"].fix.startswith("--force=x,-y;")
+    mirror(columns)
+    assert not found(columns)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_millinewtons_or_kilonewtons_show_in_the_size_of_a_fin(factor):
+    """Of a fin of half a metre or of 10 cm; a fin of usual size hides either."""
+    fin = "vehicle" if factor > 1 else "hand"
+    columns = faulty(lambda log: None, fin)
+    for name in FORCES:
+        times(name, factor)(columns)
+    assert "--force-unit" in found(columns)["force size"].fix
