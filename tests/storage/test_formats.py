@@ -13,7 +13,7 @@ from softfin.rig.monitor.follow import Follower
 from softfin.storage import artifact as artifacts
 from softfin.storage import formats
 from softfin.storage.bag import messages
-from softfin.storage.bag.recovery import complete_records
+from softfin.storage.bag.recovery import check_bag
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.formats import FOLDERS, FORMATS, check_format
 from softfin.storage.log_file import read_log, write_log
@@ -70,7 +70,7 @@ def test_a_log_of_a_newer_softfin_is_refused(tmp_path):
 def test_a_recording_of_a_newer_softfin_is_refused_by_all_who_read_it(tmp_path, monkeypatch):
     file = tmp_path / "run.mcap"
     record(file, rows=200)
-    list(complete_records(file))
+    check_bag(file)
     file.unlink()
     monkeypatch.setattr(messages, "FILES", {"recording": 2})
     record(file, rows=200)
@@ -78,7 +78,7 @@ def test_a_recording_of_a_newer_softfin_is_refused_by_all_who_read_it(tmp_path, 
         LogError,
         match=r"run\.mcap: format is '2', but this softfin reads 1; use the version",
     ):
-        list(complete_records(file))
+        check_bag(file)
     follower = Follower(file)
     follower.poll()
     assert "format is '2'" in str(follower.summary()["problem"])

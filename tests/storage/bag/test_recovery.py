@@ -19,7 +19,7 @@ from softfin.data.importing.rosbag import read_bag
 from softfin.emulation.clock import SimulatedClock
 from softfin.storage.bag import recovery as recovery_module
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
-from softfin.storage.bag.recovery import SizeError, complete_records, recover, recovered_path
+from softfin.storage.bag.recovery import SizeError, check_bag, recover, recovered_path
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 from tests.patience import HANG_S, wait_until
@@ -89,7 +89,7 @@ def test_two_readers_open_what_is_recovered_after_a_kill(tmp_path, seed):
     second = by_mcap_ros2(tmp_path / "saved.mcap")
     assert first == second
     assert [row[3] for row in first[JOINT]] == list(range(recovery.messages[JOINT]))
-    list(complete_records(tmp_path / "saved.mcap"))
+    check_bag(tmp_path / "saved.mcap")
 
 
 @pytest.mark.slow
@@ -126,7 +126,7 @@ def test_an_intact_bag_is_left_alone(bag, tmp_path):
     recovery = recover(bag, tmp_path / "saved.mcap")
     assert recovery == ({}, ())
     assert not (tmp_path / "saved.mcap").exists()
-    list(complete_records(bag))
+    check_bag(bag)
 
 
 def test_a_chunk_beyond_the_limit_is_refused_and_not_dropped(bag, tmp_path, monkeypatch):
@@ -134,7 +134,7 @@ def test_a_chunk_beyond_the_limit_is_refused_and_not_dropped(bag, tmp_path, monk
     with pytest.raises(SizeError):
         recover(bag, tmp_path / "saved.mcap")
     with pytest.raises(SizeError):
-        list(complete_records(bag))
+        check_bag(bag)
     assert not (tmp_path / "saved.mcap").exists()
 
 
@@ -215,7 +215,7 @@ def test_a_footer_that_is_damaged_is_written_anew(several, tmp_path):
     data[-1] ^= 0xFF
     path.write_bytes(data)
     with pytest.raises(LogError, match="softfin bag recover"):
-        list(complete_records(path))
+        check_bag(path)
     recover(path, tmp_path / "saved.mcap")
     assert numbers(tmp_path / "saved.mcap") == [*range(50)]
 

@@ -7,14 +7,14 @@ left.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sized
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from softfin.core.errors import LogError, one_line
+from softfin.core.errors import LogError
 from softfin.core.log_channels import CURRENT_CHANNEL, LOG_COLUMNS
 from softfin.core.printable import printable
 from softfin.data.importing.clocks import (
@@ -83,58 +83,43 @@ OTHER_JOINTS = "of other joints"
 
 
 class UnusableError(Exception):
-    """A message that contains no reading; the text describes such messages."""
+    """A message without a reading; the text describes such messages."""
 
 
-class Sample(NamedTuple):
-    """A decoded message with its type and its time of logging [ns]."""
-
-    kind: str
-    logged_ns: int
-    message: Any
+Decoded = tuple[BagMessage, Any]
+"""A message, and its decoded contents."""
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError for a damaged bag, a missing topic, or a topic without usable
-    messages."""
-    wanted = {_role_topic(role, config)[0] for role in READABLE_TYPES}
-    wanted |= {EVENTS, config.topics.get("current", CURRENT)}
-    contents = read_contents(
-        path, lambda topic: topic in wanted or topic.startswith(CHANNEL_TOPICS)
-    )
+    """Read one bag; raises LogError for a damaged bag, or a topic without usable messages."""
+    topics = DEFAULT_TOPICS | {"current": CURRENT} | config.topics
+    wanted = [topic.partition(":")[0] for topic in topics.values()]
+    contents = read_contents(path, [EVENTS, *wanted])
     tracks = []
     issues = []
-    clocks = {}
     for role in READABLE_TYPES:
-        reader = TopicReader(contents, role, config, path)
-        track, found = reader.read(name)
+        track, found = _read_topic(contents, role, config, path, name)
         issues += found
-        clocks[reader.topic] = reader.offset_s
-        if role == "wrench" and reader.topic == WRENCH:
+        if role == "wrench" and topics[role] == WRENCH:
             track, found = _less_zero(track, _read_zeros(contents), config, name)
             issues += found
         tracks.append(track)
-    _check_clocks(clocks, path)
-    tracks += _channel_tracks(contents, config, path)
+    _check_clocks(tracks, config, path)
+    for channel, topic in _channel_topics(contents, config).items():
+        tracks.append(_read_channel(contents, channel, topic, config, path))
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     return Recording(name, part, _merge_tracks(tracks), tuple(issues))
 
 
-def _role_topic(role: Topic, config: ImportConfig) -> tuple[str, str]:
-    """Return the topic of a role, and the joint if one is chosen."""
-    topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
-    return topic, joint
-
-
-def _check_clocks(clocks: dict[str, float], path: Path) -> None:
-    """Raise LogError if stamps of different topics are on different clocks; `clocks` are the
-    offsets from the logging times [s]."""
-    if max(clocks.values()) - min(clocks.values()) > MAX_CLOCK_OFFSET_S:
-        offsets = ", ".join(f"{topic} {-offset:,.0f} s" for topic, offset in clocks.items())
+def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None:
+    """Raise LogError if the stamps of the topics are on different clocks."""
+    begin = max(float(track.time.min()) for track in tracks)
+    end = min(float(track.time.max()) for track in tracks)
+    if config.stamps == "header" and begin - end > MAX_CLOCK_OFFSET_S:
         raise LogError(
-            f"{path}: the stamps are not on one clock; they precede the time of logging by "
-            f"{_plain(offsets)}; use the times of logging with --stamps logging"
+            f"{path}: the stamps are on different clocks: one topic ends at {end:,.0f} s, another "
+            f"starts at {begin:,.0f} s; use the times of logging with --stamps logging"
         )
 
 
@@ -153,40 +138,34 @@ def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
     return Track(first.time, merged), *separate
 
 
-def _numbers(contents: BagContents, topic: str) -> list[Sample]:
-    """Return the messages of a topic that contain one number."""
-    messages = [each for each in contents.messages[topic] if each.kind == FLOAT]
-    samples, _ = _decoded(messages)
-    return samples
-
-
 def _channel_topics(contents: BagContents, config: ImportConfig) -> dict[str, str]:
-    """Return the topics of other channels: the current and those of softfin's own bags."""
-    topics = {CURRENT_CHANNEL: config.topics.get("current", CURRENT)}
-    for topic in contents.types:
+    """Return the topics of other channels: the current and those of softfin's own bags, if there
+    are any."""
+    topics = {}
+    # Every recording has a topic for the current, but not every drive measures it.
+    if "current" in config.topics or contents.messages[CURRENT]:
+        topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
+    for topic, messages in contents.messages.items():
         channel = topic.removeprefix(CHANNEL_TOPICS)
-        if channel not in (topic, *LOG_COLUMNS):
+        is_own = channel not in (topic, *LOG_COLUMNS)
+        if is_own and messages[0].kind == FLOAT:
             topics[channel] = topic
     return topics
 
 
-def _channel_tracks(contents: BagContents, config: ImportConfig, path: Path) -> list[Track]:
-    """Return the other channels with numbers, each on its own clock."""
-    tracks = []
-    for channel, topic in _channel_topics(contents, config).items():
-        samples = _numbers(contents, topic)
-        if samples:
-            channels = {channel: np.array([float(sample.message.data) for sample in samples])}
-            if channel == CURRENT_CHANNEL:
-                channels = converted({"current": channels[channel]}, config)
-            tracks.append(Track(_seconds([sample.logged_ns for sample in samples]), channels))
-        # Every recording has a topic for the current, but not every drive measures it.
-        elif channel == CURRENT_CHANNEL and "current" in config.topics:
-            raise LogError(
-                f"{path}: no topic {topic} with messages of type {FLOAT} for the channel "
-                f"{channel}; set another one with --topics"
-            )
-    return tracks
+def _read_channel(
+    contents: BagContents, channel: str, topic: str, config: ImportConfig, path: Path
+) -> Track:
+    decoded = _decoded(contents.messages[topic], (FLOAT,), Counter())
+    if not decoded:
+        raise LogError(
+            f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
+            "set another one with --topics"
+        )
+    channels = {channel: np.array([float(content.data) for _, content in decoded])}
+    if channel == CURRENT_CHANNEL:
+        channels = converted({"current": channels[channel]}, config)
+    return Track(_seconds([message.logged_ns for message, _ in decoded]), channels)
 
 
 def _plain(text: str) -> str:
@@ -194,208 +173,168 @@ def _plain(text: str) -> str:
     return printable(text, most=500)
 
 
-def _listed(names: Iterable[str]) -> str:
-    return _plain(", ".join(list(names)[:MAX_LISTED_TOPICS]))
-
-
 def _seconds(nanoseconds: list[int]) -> Float[np.ndarray, "rows"]:
     # In double precision, nanoseconds since 1970 are exact to a quarter of a microsecond.
     return np.array(nanoseconds, np.int64) / 1e9
 
 
-def _decoded(messages: Iterable[BagMessage]) -> tuple[list[Sample], list[str]]:
-    """Return the decoded messages, and the reason for each that cannot be decoded."""
-    samples = []
-    reasons = []
+def _decoded(
+    messages: list[BagMessage], kinds: Collection[str], dropped: Counter[str]
+) -> list[Decoded]:
+    """Decode messages of the given types; count the other ones by reason."""
+    decoded = []
     for message in messages:
-        try:
-            samples.append(Sample(message.kind, message.logged_ns, decode_message(message)))
-        except Exception as error:
-            # The generated decoder may raise any exception for damaged bytes.
-            reasons.append(one_line(error))
-    return samples, reasons
-
-
-class TopicReader:
-    """Reads the topic of one role, and counts the messages that it drops by reason."""
-
-    def __init__(
-        self, contents: BagContents, role: Topic, config: ImportConfig, path: Path
-    ) -> None:
-        self.topic, self._joint = _role_topic(role, config)
-        self._where = f"{path}: {_plain(self.topic)}"
-        self._role: Topic = role
-        self._config = config
-        if self.topic not in contents.types:
-            raise _missing_topic_error(self.topic, role, contents.types, path)
-        self._messages = contents.messages[self.topic]
-        if not self._messages:
-            raise LogError(f"{self._where}: no messages; record the {role} as well")
-        self._dropped = Counter[str]()
-        self.offset_s = 0.0
-        """Median of stamp minus time of logging [s]."""
-
-    def read(self, name: str) -> tuple[Track, list[Issue]]:
-        """Return the usable readings; raises LogError if there are none."""
-        samples = self._samples()
-        self._choose_joint(samples)
-        rows = []
-        usable = []
-        for sample in samples:
+        encoding = ENCODINGS.get(message.encoding)
+        if message.kind not in kinds:
+            dropped[f"of type {message.kind}"] += 1
+        elif encoding is None:
+            dropped[f"encoded as {message.encoding}"] += 1
+        else:
             try:
-                rows.append(_values(sample, self._joint))
-                usable.append(sample)
-            except UnusableError as error:
-                self._dropped[str(error)] += 1
-        self._check_any(usable)
-        usable_values = np.array(rows, np.float64)
-        # A value too large for a float32 log is treated as missing.
-        usable_values[np.abs(usable_values) > np.finfo(np.float32).max] = np.nan
-        channels, issues = self._channels(usable_values, name)
-        stamps, found = self._stamps(usable, name)
-        issues += found
-        is_stamped = np.array(stamps, np.int64) != 0
-        self._drop("without a stamp", ~is_stamped)
-        track = Track(_seconds(stamps), channels).take(is_stamped)
-        logged = _seconds([sample.logged_ns for sample in usable])
-        self.offset_s = float(np.median(track.time - logged[is_stamped]))
-        if self._role == "joint":
-            issues += _check_publishers(track, self.topic, name)
-        track = self._increasing(track)
-        self._check_any(track.time)
-        return track, [*issues, *self._dropped_issues(name)]
+                decoded.append((message, decode_message(message)))
+            except Exception:
+                # The generated decoder may raise any exception for damaged bytes.
+                dropped[f"that cannot be decoded as {encoding}"] += 1
+    return decoded
 
-    def _samples(self) -> list[Sample]:
-        """Decode the messages of this role's types."""
-        kinds = READABLE_TYPES[self._role]
-        typed = [message for message in self._messages if message.kind in kinds]
-        if not typed:
-            raise LogError(
-                f"{self._where}: type {_plain(self._messages[0].kind)}; the messages of a "
-                f"{self._role} must be {' or '.join(kinds)}"
-            )
-        samples, reasons = _decoded(typed)
-        if not samples:
-            encoding = ENCODINGS.get(typed[0].encoding, typed[0].encoding)
-            raise LogError(
-                f"{self._where}: no message can be decoded: the encoding is {_plain(encoding)} "
-                f"({_plain(reasons[0])}); record with ros2 bag record, or convert a ROS 1 bag with "
-                "rosbags-convert"
-            )
-        self._dropped["of another type"] += len(self._messages) - len(typed)
-        self._dropped["that cannot be decoded"] += len(reasons)
-        return samples
 
-    def _choose_joint(self, samples: list[Sample]) -> None:
-        """Use the only joint that has positions; raises LogError if there are several and none is
-        chosen."""
-        joints: dict[str, None] = {}
-        for kind, _, message in samples:
-            if kind == JOINT_STATE:
-                positions = len(message.position)
-                names = message.name or [f"{index}" if index else "" for index in range(positions)]
-                joints |= dict.fromkeys(names[:positions])
-        listed = _listed(joint or "a joint without a name" for joint in joints)
-        if self._joint and joints and self._joint not in joints:
-            raise LogError(
-                f"{self._where}: no positions of joint {_plain(self._joint)}, only of {listed}; "
-                f"choose one with --topics {self._role}={_plain(self.topic)}:JOINT"
-            )
-        if not self._joint and len(joints) > 1:
-            raise LogError(
-                f"{self._where}: the messages are of several joints: {listed}; choose one with "
-                f"--topics {self._role}={_plain(self.topic)}:JOINT"
-            )
-        self._joint = self._joint or next(iter(joints), "")
+def _read_topic(
+    contents: BagContents, role: Topic, config: ImportConfig, path: Path, name: str
+) -> tuple[Track, list[Issue]]:
+    topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
+    where = f"{path}: {topic}"
+    messages = contents.messages[topic]
+    if not messages:
+        raise _missing_topic_error(topic, role, contents.types, path)
+    dropped = Counter[str]()
+    decoded = _decoded(messages, READABLE_TYPES[role], dropped)
+    joint = _chosen_joint(decoded, joint, where, role)
+    usable = []
+    rows = []
+    for message, content in decoded:
+        try:
+            rows.append(_values(message.kind, content, joint))
+            usable.append((message, content))
+        except UnusableError as error:
+            dropped[str(error)] += 1
+    if not rows:
+        raise _unusable_error(where, role, dropped)
+    values = np.array(rows, np.float64)
+    # A value too large for a float32 log is treated as missing.
+    values[np.abs(values) > np.finfo(np.float32).max] = np.nan
+    channels, issues = _topic_channels(values, role, config, where, name)
+    stamps, found = _stamps(usable, role, topic, config, name)
+    issues += found
+    track = Track(_seconds(stamps), channels)
+    is_stamped = track.time != 0
+    if role == "joint":
+        issues += _check_publishers(track.take(is_stamped), topic, name)
+    # Missing values of other channels cost no rows.
+    needed = np.array([channels[channel] for channel in channels.keys() & set(CHANNELS)])
+    is_finite = np.isfinite(needed).all(axis=0)
+    dropped["without a stamp"] = int((~is_stamped).sum())
+    dropped["with values that are not numbers"] = int((is_stamped & ~is_finite).sum())
+    track = track.take(is_stamped & is_finite)
+    if not len(track.time):
+        raise _unusable_error(where, role, dropped)
+    latest = np.maximum.accumulate(track.time)
+    is_later = np.append(True, track.time[1:] > latest[:-1])
+    dropped["not later than all before"] = int((~is_later).sum())
+    if +dropped:
+        text = f"{topic}: of {len(messages):,} messages, these are dropped: {_reasons(dropped)}"
+        severity: Severity = "note" if (+dropped).keys() == {OTHER_JOINTS} else "warning"
+        issues.append(Issue(severity, "dropped messages", name, _plain(text), "", role))
+    return track.take(is_later), issues
 
-    def _channels(
-        self, values: Float[np.ndarray, "rows values"], name: str
-    ) -> tuple[Channels, list[Issue]]:
-        """Convert values to channels, without those that were not measured."""
-        recorded = dict(zip(TOPIC_CHANNELS[self._role], values.T, strict=True))
-        channels = converted(recorded, self._config)
-        if self._role == "wrench":
-            # A sensor that does not measure a load reports it as zero.
-            measured = {
-                channel: load
-                for channel, load in channels.items()
-                if channel in CHANNELS or load.any()
-            }
-            return measured, []
-        second = TOPIC_CHANNELS[self._role][-1]
-        if np.isnan(values[:, 1]).all() or self._config.columns.get(second) == NO_COLUMN:
-            del channels[second]
-        if self._role == "joint" or second in channels:
-            return channels, []
-        velocity_rad_s = self._config.velocity_rad_s
-        if velocity_rad_s is None:
-            raise LogError(
-                f"{self._where}: the commands have no velocity; use --velocity 3.1 if all commands "
-                "had that velocity [rad/s]"
-            )
-        channels[second] = np.full(len(values), velocity_rad_s)
-        text = f"{self.topic}: no velocity: {velocity_rad_s:g} rad/s everywhere, from --velocity"
-        return channels, [Issue("note", "columns", name, text)]
 
-    def _stamps(self, samples: list[Sample], name: str) -> tuple[list[int], list[Issue]]:
-        """Return the times of the messages [ns]; 0 for the few without a stamp."""
-        logged = [sample.logged_ns for sample in samples]
-        if self._config.stamps == "logging":
-            return logged, []
-        stamps = [_stamp_ns(sample.message) for sample in samples]
-        unstamped = stamps.count(0)
-        # A command is valid until the next one, so none may be dropped.
-        most = 0 if self._role == "command" else len(stamps) // 2
-        if unstamped <= most or stamps == logged:
-            return stamps, []
-        text = (
-            f"{self.topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging "
-            "times are used"
+def _unusable_error(where: str, role: Topic, dropped: Counter[str]) -> LogError:
+    return LogError(
+        f"{where}: no message can be used: {_reasons(dropped)}; a {role} must be "
+        f"{' or '.join(READABLE_TYPES[role])}, in {' or '.join(ENCODINGS.values())}; record with "
+        "ros2 bag record, or convert a ROS 1 bag with rosbags-convert"
+    )
+
+
+def _reasons(dropped: Counter[str]) -> str:
+    return _plain(", ".join(f"{number:,} {reason}" for reason, number in (+dropped).items()))
+
+
+def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -> str:
+    """Return the joint to read, by default the only one with positions; raises LogError if there
+    are several, or no such one."""
+    joints: dict[str, None] = {}
+    for message, content in decoded:
+        if message.kind == JOINT_STATE:
+            positions = len(content.position)
+            names = content.name or [f"({number} without a name)" for number in range(1, positions)]
+            joints |= dict.fromkeys([*names, ""][:positions])
+    if not joints or joint in joints:
+        return joint
+    if joint or len(joints) > 1:
+        listed = ", ".join(
+            [name or "a joint without a name" for name in joints][:MAX_LISTED_TOPICS]
         )
-        fix = "stamp each message when it is measured, because logging adds a varying delay"
-        severity: Severity = "note"
-        if hasattr(samples[0].message, "header"):
-            severity = "warning"
-        return logged, [Issue(severity, "no stamps", name, text, fix, self._role)]
-
-    def _increasing(self, track: Track) -> Track:
-        """Drop readings that are incomplete, or not later than all readings before them."""
-        is_complete = np.isfinite(track.time)
-        for channel, values in track.channels.items():
-            # Missing values of other channels cost no rows.
-            if channel in CHANNELS:
-                is_complete &= np.isfinite(values)
-        self._drop("with values that are not numbers", ~is_complete)
-        complete = track.take(is_complete)
-        latest = np.maximum.accumulate(complete.time)
-        is_later = np.append(True, complete.time[1:] > latest[:-1])[: len(latest)]
-        self._drop("not later than the messages before", ~is_later)
-        return complete.take(is_later)
-
-    def _drop(self, reason: str, is_dropped: Bool[np.ndarray, "rows"]) -> None:
-        self._dropped[reason] += int(is_dropped.sum())
-
-    def _reasons(self) -> str:
-        return ", ".join(f"{number:,} {reason}" for reason, number in (+self._dropped).items())
-
-    def _check_any(self, usable: Sized) -> None:
-        if not len(usable):
-            raise LogError(
-                f"{self._where}: none of {len(self._messages):,} messages can be used: "
-                f"{self._reasons()}; record the {self._role} again"
-            )
-
-    def _dropped_issues(self, name: str) -> list[Issue]:
-        """Return a warning with the dropped messages; a note if they are only of other joints."""
-        dropped = +self._dropped
-        if not dropped:
-            return []
-        text = (
-            f"{self.topic}: {dropped.total():,} of {len(self._messages):,} messages are dropped: "
-            f"{self._reasons()}"
+        raise LogError(
+            f"{where}: joint not chosen or not found among {_plain(listed)}; choose one with "
+            f"--topics {role}=TOPIC:JOINT"
         )
-        severity: Severity = "note" if dropped.keys() == {OTHER_JOINTS} else "warning"
-        return [Issue(severity, "dropped messages", name, text, "", self._role)]
+    return next(iter(joints))
+
+
+def _stamps(
+    decoded: list[Decoded], role: Topic, topic: str, config: ImportConfig, name: str
+) -> tuple[list[int], list[Issue]]:
+    """Return the times of messages [ns]; 0 for a few without a stamp."""
+    logged = [message.logged_ns for message, _ in decoded]
+    if config.stamps == "logging":
+        return logged, []
+    stamps = []
+    for _, content in decoded:
+        header = getattr(content, "header", None)
+        stamps.append(0 if header is None else header.stamp.sec * SECOND_NS + header.stamp.nanosec)
+    unstamped = stamps.count(0)
+    # A command is valid until the next one, so none may be dropped.
+    most = 0 if role == "command" else len(stamps) // 2
+    if unstamped <= most or stamps == logged:
+        return stamps, []
+    text = (
+        f"{topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging times are "
+        "used"
+    )
+    fix = "stamp each message when it is measured, because logging adds a varying delay"
+    severity: Severity = "warning" if hasattr(decoded[0][1], "header") else "note"
+    return logged, [Issue(severity, "no stamps", name, text, fix, role)]
+
+
+def _topic_channels(
+    values: Float[np.ndarray, "rows values"],
+    role: Topic,
+    config: ImportConfig,
+    where: str,
+    name: str,
+) -> tuple[Channels, list[Issue]]:
+    """Convert values to channels, without those that were not measured."""
+    channels = converted(dict(zip(TOPIC_CHANNELS[role], values.T, strict=True)), config)
+    if role == "wrench":
+        # A sensor that does not measure a load reports it as zero.
+        channels = {
+            channel: load for channel, load in channels.items() if channel in CHANNELS or load.any()
+        }
+    second = TOPIC_CHANNELS[role][-1]
+    if role in ("command", "joint") and (
+        np.isnan(values[:, 1]).all() or config.columns.get(second) == NO_COLUMN
+    ):
+        del channels[second]
+    if role != "command" or second in channels:
+        return channels, []
+    if config.velocity_rad_s is None:
+        raise LogError(
+            f"{where}: the commands have no velocity; use --velocity 3.1 if all commands had that "
+            "velocity [rad/s]"
+        )
+    channels[second] = np.full(len(values), config.velocity_rad_s)
+    text = f"command: no velocity: {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
+    return channels, [Issue("note", "columns", name, text)]
 
 
 def _check_publishers(track: Track, topic: str, name: str) -> list[Issue]:
@@ -444,27 +383,26 @@ def find_disagreements(
 
 def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: Path) -> LogError:
     topics = [f"{other} ({kind})" for other, kind in sorted(types.items())]
+    listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
     # A topic with one number is rarely a command.
     likely = set(READABLE_TYPES[role]) - {FLOAT}
     fitting = [other for other, kind in types.items() if kind in likely]
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
     bag = "ROS 1 bag" if path.suffix.lower() == ".bag" else "bag"
     return LogError(
-        f"{path}: no topic {topic} for the {role}; the {bag} has {_listed(topics) or 'no topics'}; "
-        f"set it with --topics {role}={suggestion}"
+        f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; set it with "
+        f"--topics {role}={suggestion}"
     )
 
 
 def _read_zeros(contents: BagContents) -> list[tuple[float, RestForce]]:
     """Return the time [s] and value [N] of each rest force that softfin measured during the
     recording."""
-    events = [each for each in contents.messages[EVENTS] if each.kind == STRING]
-    samples, _ = _decoded(events)
     zeros = []
-    for _, logged_ns, message in samples:
-        zero = parse_zero(message.data)
+    for message, content in _decoded(contents.messages[EVENTS], (STRING,), Counter()):
+        zero = parse_zero(content.data)
         if zero is not None:
-            zeros.append((logged_ns / 1e9, zero))
+            zeros.append((message.logged_ns / 1e9, zero))
     return zeros
 
 
@@ -487,22 +425,16 @@ def _less_zero(
     return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
-def _stamp_ns(message: Any) -> int:
-    header = getattr(message, "header", None)
-    return 0 if header is None else header.stamp.sec * SECOND_NS + header.stamp.nanosec
-
-
-def _values(sample: Sample, joint: str) -> tuple[float, ...]:
+def _values(kind: str, message: Any, joint: str) -> tuple[float, ...]:
     """Return (angle, velocity), or the force and torque in a message; raises UnusableError if it
     has none. A missing velocity is NaN."""
-    kind, _, message = sample
     if kind in (ARRAY, FLOAT):
         numbers = np.atleast_1d(message.data).tolist()
         if len(numbers) not in (1, 2):
             raise UnusableError(f"with {len(numbers)} numbers instead of [angle, velocity]")
         return numbers[0], numbers[1] if len(numbers) == 2 else float("nan")
     if kind == JOINT_STATE:
-        names = list(message.name) or [""]
+        names = message.name or [""]
         if joint not in names:
             raise UnusableError(OTHER_JOINTS)
         index = names.index(joint)

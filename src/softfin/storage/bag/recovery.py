@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from softfin.core.errors import LogError, one_line
+from softfin.core.errors import InputError, LogError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
@@ -41,7 +41,7 @@ BagRecord: TypeAlias = Schema | Channel | Message | Footer
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
 
 
-class SizeError(LogError):
+class SizeError(InputError):
     """A record that is too large to be read, but not damaged."""
 
 
@@ -137,18 +137,16 @@ def scan(path: Path) -> Iterator[BagRecord | Damage]:
         raise SizeError(f"{path}: {error}") from None
 
 
-def complete_records(path: Path) -> Iterator[BagRecord]:
-    """Yield the records of a file; raises LogError unless it is complete and in a format that this
-    version reads."""
+def check_bag(path: Path) -> None:
+    """Raise LogError unless the file is complete and in a format that this version reads."""
     for item in scan(path):
-        if isinstance(item, Damage):
+        if isinstance(item, Channel):
+            check_file_format("recording", item.metadata, str(path))
+        elif isinstance(item, Damage):
             raise LogError(
                 f"{path}: incomplete or damaged at byte {item.byte:,} ({item.reason}); to save its "
                 f"readable contents, run softfin bag recover {path}"
             )
-        if isinstance(item, Channel):
-            check_file_format("recording", item.metadata, str(path))
-        yield item
 
 
 def _scan(file: io.BufferedIOBase, path: Path) -> Iterator[BagRecord | Damage]:
@@ -167,13 +165,9 @@ def _scan(file: io.BufferedIOBase, path: Path) -> Iterator[BagRecord | Damage]:
             at = record.end
             try:
                 yield from decode_bag_record(record)
-            except SizeError:
-                raise
             except LogError as error:
                 # The next record can still be read.
                 yield Damage(record.start, str(error))
-    except SizeError:
-        raise
     except LogError as error:
         reason = str(error)
     yield Damage(at, reason)
