@@ -268,9 +268,9 @@ def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -
             positions = len(content.position)
             names = content.name or [f"({number} without a name)" for number in range(1, positions)]
             joints |= dict.fromkeys([*names, ""][:positions])
-    if not joints or joint in joints:
-        return joint
-    if joint or len(joints) > 1:
+    if not joint and len(joints) == 1:
+        return next(iter(joints))
+    if joints and (not joint or joint not in joints):
         listed = ", ".join(
             [name or "a joint without a name" for name in joints][:MAX_LISTED_TOPICS]
         )
@@ -278,7 +278,7 @@ def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -
             f"{where}: joint not chosen or not found among {_plain(listed)}; choose one with "
             f"--topics {role}=TOPIC:JOINT"
         )
-    return next(iter(joints))
+    return joint
 
 
 def _stamps(
@@ -435,11 +435,11 @@ def _values(kind: str, message: Any, joint: str) -> tuple[float, ...]:
         return numbers[0], numbers[1] if len(numbers) == 2 else float("nan")
     if kind == JOINT_STATE:
         names = message.name or [""]
-        if joint not in names:
-            raise UnusableError(OTHER_JOINTS)
-        index = names.index(joint)
+        index = names.index(joint) if joint in names else 0
         if len(message.position) <= index:
             raise UnusableError("without a position")
+        if joint not in names:
+            raise UnusableError(OTHER_JOINTS)
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
         return float(message.position[index]), velocity
     wrench = getattr(message, "wrench", message)
