@@ -553,3 +553,15 @@ def test_the_file_of_a_bag_is_read_without_its_metadata(tmp_path, bag, columns):
     (tmp_path / "run" / "metadata.yaml").write_text("{")
     (one,), _ = opened(tmp_path / "run")
     check(one, columns)
+
+
+def test_a_simulation_that_starts_at_zero_has_a_stamp_there(tmp_path, columns, monkeypatch):
+    monkeypatch.setattr("tests.data.bags.START_S", 0)
+    topics = topics_of(columns, force_hz=100)
+    for messages in topics.values():
+        messages[0][1].header.stamp.nanosec = 0
+        messages[0] = (0.0, messages[0][1])
+    write_bag(tmp_path / "run", topics)
+    (one,), issues = opened(tmp_path / "run")
+    assert dropped(issues) == []
+    assert one.log.reading.time[0] == one.start_s == 0

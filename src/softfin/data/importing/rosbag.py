@@ -223,10 +223,10 @@ def _read_topic(
     # A value too large for a float32 log is treated as missing.
     values[np.abs(values) > np.finfo(np.float32).max] = np.nan
     channels, issues = _topic_channels(values, role, config, where, name)
-    stamps, found = _stamps(usable, role, topic, config, name)
+    time, found = _times(usable, role, topic, config, name)
     issues += found
-    track = Track(_seconds(stamps), channels)
-    is_stamped = track.time != 0
+    track = Track(time, channels)
+    is_stamped = np.isfinite(time)
     if role == "joint":
         issues += _check_publishers(track.take(is_stamped), topic, name)
     # Missing values of other channels cost no rows.
@@ -237,14 +237,13 @@ def _read_topic(
     track = track.take(is_stamped & is_finite)
     if not len(track.time):
         raise _unusable_error(where, role, dropped)
-    latest = np.maximum.accumulate(track.time)
-    is_later = np.append(True, track.time[1:] > latest[:-1])
-    dropped["not later than all before"] = int((~is_later).sum())
+    is_repeated = np.diff(track.time, prepend=np.nan) == 0
+    dropped["with a repeated stamp"] = int(is_repeated.sum())
     if +dropped:
         text = f"{topic}: of {len(messages):,} messages, these are dropped: {_reasons(dropped)}"
         severity: Severity = "note" if (+dropped).keys() == {OTHER_JOINTS} else "warning"
         issues.append(Issue(severity, "dropped messages", name, _plain(text), "", role))
-    return track.take(is_later), issues
+    return track.take(~is_repeated), issues
 
 
 def _unusable_error(where: str, role: Topic, dropped: Counter[str]) -> LogError:
@@ -281,29 +280,30 @@ def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -
     return joint
 
 
-def _stamps(
+def _times(
     decoded: list[Decoded], role: Topic, topic: str, config: ImportConfig, name: str
-) -> tuple[list[int], list[Issue]]:
-    """Return the times of messages [ns]; 0 for a few without a stamp."""
+) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
+    """Return the times of messages [s]; NaN for a few without a stamp."""
     logged = [message.logged_ns for message, _ in decoded]
     if config.stamps == "logging":
-        return logged, []
+        return _seconds(logged), []
     stamps = []
     for _, content in decoded:
         header = getattr(content, "header", None)
         stamps.append(0 if header is None else header.stamp.sec * SECOND_NS + header.stamp.nanosec)
     unstamped = stamps.count(0)
+    if not unstamped or stamps == logged:
+        return _seconds(stamps), []
+    if role != "command" and unstamped <= len(stamps) / 2:
+        return np.where(np.array(stamps) == 0, np.nan, _seconds(stamps)), []
     # A command is valid until the next one, so none may be dropped.
-    most = 0 if role == "command" else len(stamps) // 2
-    if unstamped <= most or stamps == logged:
-        return stamps, []
     text = (
         f"{topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging times are "
         "used"
     )
     fix = "stamp each message when it is measured, because logging adds a varying delay"
     severity: Severity = "warning" if hasattr(decoded[0][1], "header") else "note"
-    return logged, [Issue(severity, "no stamps", name, text, fix, role)]
+    return _seconds(logged), [Issue(severity, "no stamps", name, text, fix, role)]
 
 
 def _topic_channels(
