@@ -83,7 +83,7 @@ def fit(
     out = Path(out)
     check_seed(seed)
     find_recordings(dataset)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="surrogate")
     architecture = find_architecture(model)
     settings = configure(architecture.config(), config)
     from softfin.data.recordings import open_logs
@@ -105,6 +105,7 @@ def fit(
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
         "data_hash": opened.data_hash,
+        "model": model,
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
@@ -269,7 +270,7 @@ def calibrate(
 
     Args:
         data: Dataset, or a plant: tank, a tank's YAML file, a surrogate, package.module:plant.
-        out: Output folder for calibration.json, tank.yaml and the figures.
+        out: Output folder for calibration.json and tank.yaml.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.
         config: `CalibrateConfig`; its fields are options too, such as --evaluations 0.
@@ -285,7 +286,7 @@ def calibrate(
     """
     out = Path(out)
     check_seed(seed)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="calibration")
     check_data(data)
     from softfin.storage.run_directory import RunDirectory
     from softfin.tank.calibration.calibrate import calibrate_tank
@@ -320,9 +321,4 @@ def calibration_tables(result: JsonObject) -> str:
     for name, row in result["parameters"].items():
         error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
         parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
-    trades = [
-        f"{' and '.join(pair['parameters'])} trade off against each other: correlation "
-        f"{pair['correlation']:+.2f}"
-        for pair in result["trades"]
-    ]
-    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3)), *trades])
+    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3))])
