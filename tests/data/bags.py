@@ -38,9 +38,9 @@ def text(words):
     return TYPES.types["std_msgs/msg/String"](words)
 
 
-def array(angle, velocity):
+def array(*numbers):
     layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    return TYPES.types["std_msgs/msg/Float64MultiArray"](layout, np.array([angle, velocity], float))
+    return TYPES.types["std_msgs/msg/Float64MultiArray"](layout, np.array(numbers, float))
 
 
 def write_bag(

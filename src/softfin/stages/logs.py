@@ -126,7 +126,8 @@ def recover_recording(
         overwrite: Replace an existing file.
 
     Returns:
-        File that was written, number of messages, and what could not be read.
+        File that was written (None if the recording is not damaged), number of messages, and
+        what could not be read.
 
     Example:
         >>> softfin.recover_recording("run.mcap")
@@ -136,11 +137,16 @@ def recover_recording(
     recording = Path(recording)
     out = recovered_path(recording) if out is None else Path(out)
     recovery = recover(recording, out, overwrite)
+    if not recovery.damages:
+        return Result(
+            {"recovered": None, **recovery.to_dict()},
+            f"{recording}: not damaged; use it as it is, no file was written",
+        )
     messages = counted(sum(recovery.messages.values()), "message")
     reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)
-    state = f"damaged at {reasons[:300]}" if reasons else "not damaged"
     return Result(
-        {"recovered": str(out), **recovery.to_dict()}, f"{out}: {messages} recovered; {state}"
+        {"recovered": str(out), **recovery.to_dict()},
+        f"{out}: {messages} recovered; damaged at {reasons[:300]}",
     )
 
 

@@ -9,6 +9,7 @@ from softfin.storage import artifact as artifacts
 
 CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
+BAGS = (".mcap", ".db3", ".bag")
 DATASET_PARTS = {"train": 4, "test": 3}
 """Subfolders of a dataset, with the number of digits in the names of their logs."""
 
@@ -43,7 +44,7 @@ def find_recordings(path: Path) -> list[Path]:
     if not found:
         raise LogError(
             f"{path}: contains no recordings; supported are {', '.join((*CSV, *PARQUET))} files "
-            "and ROS 2 bags (.mcap)"
+            f"and ROS bags ({', '.join(BAGS)})"
         )
     return found
 
@@ -65,8 +66,9 @@ def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether `path` is a ROS 2 bag: the folder of one, or an .mcap file."""
-    return (path / "metadata.yaml").is_file() or (path.suffix == ".mcap" and path.is_file())
+    """Whether `path` is a ROS bag: the folder of one, or one of its files."""
+    is_bag_file = path.suffix.lower() in BAGS and path.is_file()
+    return is_bag_file or (path / "metadata.yaml").is_file()
 
 
 def check_monitored(path: Path) -> None:

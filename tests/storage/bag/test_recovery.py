@@ -17,8 +17,9 @@ from softfin.data.importing.clocks import build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.emulation.clock import SimulatedClock
+from softfin.storage.bag import recovery as recovery_module
 from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
-from softfin.storage.bag.recovery import check_bag, recover, recovered_path
+from softfin.storage.bag.recovery import SizeError, check_bag, recover, recovered_path
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
 from tests.patience import HANG_S, wait_until
@@ -121,12 +122,20 @@ def test_a_full_disk_is_told_and_what_was_written_recovers(tmp_path):
     assert by_rosbags(tmp_path / "saved.mcap") == by_mcap_ros2(tmp_path / "saved.mcap")
 
 
-def test_a_complete_bag_is_copied(bag, tmp_path):
+def test_an_intact_bag_is_left_alone(bag, tmp_path):
     recovery = recover(bag, tmp_path / "saved.mcap")
-    assert not recovery.damages
-    assert recovery.messages[JOINT] == 250
-    assert by_rosbags(tmp_path / "saved.mcap") == by_rosbags(bag)
+    assert recovery == ({}, ())
+    assert not (tmp_path / "saved.mcap").exists()
     check_bag(bag)
+
+
+def test_a_chunk_beyond_the_limit_is_refused_and_not_dropped(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(recovery_module, "MAX_RECORD_BYTES", 1000)
+    with pytest.raises(SizeError):
+        recover(bag, tmp_path / "saved.mcap")
+    with pytest.raises(SizeError):
+        check_bag(bag)
+    assert not (tmp_path / "saved.mcap").exists()
 
 
 def test_a_cut_chunk_is_lost_and_the_original_stays(several, tmp_path):

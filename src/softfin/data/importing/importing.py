@@ -38,6 +38,8 @@ class ImportConfig(Configuration):
     topics: Annotated[dict[Topic, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
     command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
+    stamps: Literal["header", "logging"] = "header"
+    """Times of a bag's messages: in their headers, or of logging if the headers are wrong."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)

@@ -1,20 +1,30 @@
-"""Read ROS 2 bags (MCAP or SQLite) without ROS, from the topics of command, joint and force, and of
-further channels if there are any.
+"""Read ROS bags without ROS, from the topics of command, joint and force, and of further channels
+if there are any.
 
-Times are the header stamps if every message of a topic has one, otherwise the logging times.
+Times are the header stamps if the messages of a topic have them, otherwise the logging times.
+Messages that cannot be used are dropped and counted. A bag is refused if none of a topic is
+left.
 """
 
+from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
+from jaxtyping import Float, Int
 
-from softfin.core.errors import LogError, one_line
+from softfin.core.errors import LogError
 from softfin.core.log_channels import CURRENT_CHANNEL, LOG_COLUMNS
 from softfin.core.printable import printable
-from softfin.data.importing.clocks import Channels, Part, Recording, Track
+from softfin.data.importing.clocks import (
+    TURN_RAD,
+    TURN_TOLERANCE_RAD,
+    Channels,
+    Part,
+    Recording,
+    Track,
+)
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
 from softfin.data.importing.names import CHANNELS, Channel
@@ -27,18 +37,24 @@ from softfin.storage.bag.messages import (
     EVENTS,
     FLOAT,
     JOINT_STATE,
+    SECOND_NS,
     STRING,
     WRENCH,
     WRENCH_STAMPED,
-    type_store,
 )
-from softfin.storage.bag.recovery import check_bag
+from softfin.storage.bag.reader import (
+    ENCODINGS,
+    BagContents,
+    BagMessage,
+    decode_message,
+    read_contents,
+)
 from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
 READABLE_TYPES: dict[Topic, tuple[str, ...]] = {
-    "command": (JOINT_STATE, ARRAY),
+    "command": (JOINT_STATE, ARRAY, FLOAT),
     "joint": (JOINT_STATE,),
     "wrench": (WRENCH_STAMPED, "geometry_msgs/msg/Wrench"),
 }
@@ -52,37 +68,59 @@ TOPIC_CHANNELS: dict[Topic, tuple[Channel, ...]] = {
 MAX_LISTED_TOPICS = 12
 """Maximum number of topics in an error message."""
 
+MAX_CLOCK_OFFSET_S = 1800.0
+"""Largest difference between the clocks of two topics [s]: less than between time zones. Clocks
+that start at 0 with the computer or a simulation are decades behind."""
+
+MIN_DISAGREEMENT_RAD = 0.05
+"""Smallest jump that shows a second publisher [rad]: more than a fin at 3 Hz deviates from a
+straight line in 10 ms."""
+
+MIN_DISAGREEMENTS = 10
+"""Smallest number of such jumps that shows a second publisher."""
+
+OTHER_JOINTS = "of other joints"
+
+
+class UnusableError(Exception):
+    """A message without a reading; the text describes such messages."""
+
+
+Decoded = tuple[BagMessage, Any]
+"""A message, and its decoded contents."""
+
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError for a damaged bag, a missing topic or a wrong message type."""
-    try:
-        for file in [path] if not path.is_dir() else sorted(path.glob("*.mcap")):
-            check_bag(file)
-        with Reader(path) as reader:
-            tracks = []
-            issues = []
-            for role in READABLE_TYPES:
-                track, found = _read_topic(reader, role, config, path, name)
-                issues += found
-                if role == "wrench" and config.topics.get(role, WRENCH) == WRENCH:
-                    track, found = _less_zero(track, _read_zeros(reader), config, name)
-                    issues += found
-                tracks.append(track)
-            for channel, topic in _channel_topics(reader, config).items():
-                tracks.append(_read_channel(reader, channel, topic, config, path))
-    except LogError:
-        raise
-    except Exception as error:
-        # A damaged bag may fail in the reader, the storage, the decompression or the messages, each
-        # with its own exception type.
-        reason = _plain(one_line(error))
-        raise LogError(
-            f"{path}: truncated or not a ROS 2 bag ({reason}); copy it again, or run ros2 bag "
-            "reindex on it"
-        ) from None
+    """Read one bag; raises LogError for a damaged bag, or a topic without usable messages."""
+    topics = DEFAULT_TOPICS | {"current": CURRENT} | config.topics
+    wanted = [topic.partition(":")[0] for topic in topics.values()]
+    contents = read_contents(path, [EVENTS, *wanted])
+    tracks = []
+    issues = []
+    for role in READABLE_TYPES:
+        track, found = _read_topic(contents, role, config, path, name)
+        issues += found
+        if role == "wrench" and topics[role] == WRENCH:
+            track, found = _less_zero(track, _read_zeros(contents), config, name)
+            issues += found
+        tracks.append(track)
+    _check_clocks(tracks, config, path)
+    for channel, topic in _channel_topics(contents, config).items():
+        tracks.append(_read_channel(contents, channel, topic, config, path))
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     return Recording(name, part, _merge_tracks(tracks), tuple(issues))
+
+
+def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None:
+    """Raise LogError if the stamps of the topics are on different clocks."""
+    begin = max(float(track.time.min()) for track in tracks)
+    end = min(float(track.time.max()) for track in tracks)
+    if config.stamps == "header" and begin - end > MAX_CLOCK_OFFSET_S:
+        raise LogError(
+            f"{path}: the stamps are on different clocks: one topic ends at {end:,.0f} s, another "
+            f"starts at {begin:,.0f} s; use the times of logging with --stamps logging"
+        )
 
 
 def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
@@ -100,49 +138,34 @@ def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
     return Track(first.time, merged), *separate
 
 
-def _numbers(reader: Reader, topic: str) -> list[Connection]:
-    """Return the connections of a topic with messages of one number."""
-    return [
-        each
-        for each in reader.connections
-        if each.topic == topic and each.msgtype == FLOAT and each.msgcount
-    ]
-
-
-def _channel_topics(reader: Reader, config: ImportConfig) -> dict[str, str]:
+def _channel_topics(contents: BagContents, config: ImportConfig) -> dict[str, str]:
     """Return the topics of other channels: the current and those of softfin's own bags, if there
     are any."""
     topics = {}
     # Every recording has a topic for the current, but not every drive measures it.
-    if "current" in config.topics or _numbers(reader, CURRENT):
+    if "current" in config.topics or contents.messages[CURRENT]:
         topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
-    for connection in reader.connections:
-        channel = connection.topic.removeprefix(CHANNEL_TOPICS)
-        is_own = channel not in (connection.topic, *LOG_COLUMNS)
-        if is_own and _numbers(reader, connection.topic):
-            topics[channel] = connection.topic
+    for topic, messages in contents.messages.items():
+        channel = topic.removeprefix(CHANNEL_TOPICS)
+        is_own = channel not in (topic, *LOG_COLUMNS)
+        if is_own and messages[0].kind == FLOAT:
+            topics[channel] = topic
     return topics
 
 
 def _read_channel(
-    reader: Reader, channel: str, topic: str, config: ImportConfig, path: Path
+    contents: BagContents, channel: str, topic: str, config: ImportConfig, path: Path
 ) -> Track:
-    connections = _numbers(reader, topic)
-    if not connections:
+    decoded = _decoded(contents.messages[topic], (FLOAT,), Counter())
+    if not decoded:
         raise LogError(
             f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
             "set another one with --topics"
         )
-    logged = []
-    values = []
-    for _, stamp, data in reader.messages(connections):
-        message: Any = type_store().deserialize_cdr(data, FLOAT)
-        logged.append(stamp)
-        values.append(float(message.data))
-    channels = {channel: np.array(values)}
+    channels = {channel: np.array([float(content.data) for _, content in decoded])}
     if channel == CURRENT_CHANNEL:
         channels = converted({"current": channels[channel]}, config)
-    return Track(np.array(logged, np.int64) / 1e9, channels)
+    return Track(_seconds([message.logged_ns for message, _ in decoded]), channels)
 
 
 def _plain(text: str) -> str:
@@ -150,50 +173,147 @@ def _plain(text: str) -> str:
     return printable(text, most=500)
 
 
+def _seconds(nanoseconds: list[int]) -> Float[np.ndarray, "rows"]:
+    # In double precision, nanoseconds since 1970 are exact to a quarter of a microsecond.
+    return np.array(nanoseconds, np.int64) / 1e9
+
+
+def _decoded(
+    messages: list[BagMessage], kinds: Collection[str], dropped: Counter[str]
+) -> list[Decoded]:
+    """Decode messages of the given types; count the other ones by reason."""
+    decoded = []
+    for message in messages:
+        encoding = ENCODINGS.get(message.encoding)
+        if message.kind not in kinds:
+            dropped[f"of type {message.kind}"] += 1
+        elif encoding is None:
+            dropped[f"encoded as {message.encoding}"] += 1
+        else:
+            try:
+                decoded.append((message, decode_message(message)))
+            except Exception:
+                # The generated decoder may raise any exception for damaged bytes.
+                dropped[f"that cannot be decoded as {encoding}"] += 1
+    return decoded
+
+
 def _read_topic(
-    reader: Reader, role: Topic, config: ImportConfig, path: Path, name: str
+    contents: BagContents, role: Topic, config: ImportConfig, path: Path, name: str
 ) -> tuple[Track, list[Issue]]:
     topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
-    connections = [connection for connection in reader.connections if connection.topic == topic]
-    if not connections:
-        types = {connection.topic: connection.msgtype for connection in reader.connections}
-        raise _missing_topic_error(topic, role, types, path)
     where = f"{path}: {topic}"
-    kind = connections[-1].msgtype
-    kinds = {connection.msgtype for connection in connections}
-    if kind not in READABLE_TYPES[role] or len(kinds) > 1:
-        raise LogError(
-            f"{where}: type {_plain(kind)}; the messages of a {role} must all be "
-            f"{' or '.join(READABLE_TYPES[role])}"
-        )
-    logged = []
-    stamped = []
+    messages = contents.messages[topic]
+    if not messages:
+        raise _missing_topic_error(topic, role, contents.types, path)
+    dropped = Counter[str]()
+    decoded = _decoded(messages, READABLE_TYPES[role], dropped)
+    joint = _chosen_joint(decoded, joint, where, role)
+    usable = []
     rows = []
-    for _, stamp, data in reader.messages(connections):
-        # Decode with ROS 2's own message definitions, not with the bag's: the reader turns
-        # definitions into code, and a bag may come from an untrusted source.
-        message: Any = type_store().deserialize_cdr(data, kind)
-        header = getattr(message, "header", None)
-        logged.append(stamp)
-        stamped.append(0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec)
-        rows.append(_values(message, kind, joint, where))
+    for message, content in decoded:
+        try:
+            rows.append(_values(message.kind, content, joint))
+            usable.append((message, content))
+        except UnusableError as error:
+            dropped[str(error)] += 1
     if not rows:
-        raise LogError(f"{where}: no messages; record the {role} as well")
-    issues = []
-    if not (all(stamped) or stamped == logged):
-        text = (
-            f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp; the "
-            "logging times are used"
-        )
-        fix = "stamp each message when it is measured, because logging adds a varying delay"
-        severity: Severity = "warning" if kind in (JOINT_STATE, WRENCH_STAMPED) else "note"
-        issues.append(Issue(severity, "no stamps", name, text, fix, role))
-        stamped = logged
-    # In double precision, nanoseconds since 1970 are exact to a quarter of a microsecond.
-    time = np.array(stamped, np.int64) / 1e9
+        raise _unusable_error(where, role, dropped)
     values = np.array(rows, np.float64)
-    # A value too large for a float32 log is treated as missing; `build_logs` reports it.
-    values[np.abs(values) > np.finfo(np.float32).max] = np.inf
+    # A value too large for a float32 log is treated as missing.
+    values[np.abs(values) > np.finfo(np.float32).max] = np.nan
+    channels, issues = _topic_channels(values, role, config, where, name)
+    time, found = _times(usable, role, topic, config, name)
+    issues += found
+    track = Track(time, channels)
+    is_stamped = np.isfinite(time)
+    if role == "joint":
+        issues += _check_publishers(track.take(is_stamped), topic, name)
+    # Missing values of other channels cost no rows.
+    needed = np.array([channels[channel] for channel in channels.keys() & set(CHANNELS)])
+    is_finite = np.isfinite(needed).all(axis=0)
+    dropped["without a stamp"] = int((~is_stamped).sum())
+    dropped["with values that are not numbers"] = int((is_stamped & ~is_finite).sum())
+    track = track.take(is_stamped & is_finite)
+    if not len(track.time):
+        raise _unusable_error(where, role, dropped)
+    is_repeated = np.diff(track.time, prepend=np.nan) == 0
+    dropped["with a repeated stamp"] = int(is_repeated.sum())
+    if +dropped:
+        text = f"{topic}: of {len(messages):,} messages, these are dropped: {_reasons(dropped)}"
+        severity: Severity = "note" if (+dropped).keys() == {OTHER_JOINTS} else "warning"
+        issues.append(Issue(severity, "dropped messages", name, _plain(text), "", role))
+    return track.take(~is_repeated), issues
+
+
+def _unusable_error(where: str, role: Topic, dropped: Counter[str]) -> LogError:
+    return LogError(
+        f"{where}: no message can be used: {_reasons(dropped)}; a {role} must be "
+        f"{' or '.join(READABLE_TYPES[role])}, in {' or '.join(ENCODINGS.values())}; record with "
+        "ros2 bag record, or convert a ROS 1 bag with rosbags-convert"
+    )
+
+
+def _reasons(dropped: Counter[str]) -> str:
+    return _plain(", ".join(f"{number:,} {reason}" for reason, number in (+dropped).items()))
+
+
+def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -> str:
+    """Return the joint to read, by default the only one with positions; raises LogError if there
+    are several, or no such one."""
+    joints: dict[str, None] = {}
+    for message, content in decoded:
+        if message.kind == JOINT_STATE:
+            positions = len(content.position)
+            names = content.name or [f"({number} without a name)" for number in range(1, positions)]
+            joints |= dict.fromkeys([*names, ""][:positions])
+    if not joint and len(joints) == 1:
+        return next(iter(joints))
+    if joints and (not joint or joint not in joints):
+        listed = ", ".join(
+            [name or "a joint without a name" for name in joints][:MAX_LISTED_TOPICS]
+        )
+        raise LogError(
+            f"{where}: joint not chosen or not found among {_plain(listed)}; choose one with "
+            f"--topics {role}=TOPIC:JOINT"
+        )
+    return joint
+
+
+def _times(
+    decoded: list[Decoded], role: Topic, topic: str, config: ImportConfig, name: str
+) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
+    """Return the times of messages [s]; NaN for a few without a stamp."""
+    logged = [message.logged_ns for message, _ in decoded]
+    if config.stamps == "logging":
+        return _seconds(logged), []
+    stamps = []
+    for _, content in decoded:
+        header = getattr(content, "header", None)
+        stamps.append(0 if header is None else header.stamp.sec * SECOND_NS + header.stamp.nanosec)
+    unstamped = stamps.count(0)
+    if not unstamped or stamps == logged:
+        return _seconds(stamps), []
+    if role != "command" and unstamped <= len(stamps) / 2:
+        return np.where(np.array(stamps) == 0, np.nan, _seconds(stamps)), []
+    # A command is valid until the next one, so none may be dropped.
+    text = (
+        f"{topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging times are "
+        "used"
+    )
+    fix = "stamp each message when it is measured, because logging adds a varying delay"
+    severity: Severity = "warning" if hasattr(decoded[0][1], "header") else "note"
+    return _seconds(logged), [Issue(severity, "no stamps", name, text, fix, role)]
+
+
+def _topic_channels(
+    values: Float[np.ndarray, "rows values"],
+    role: Topic,
+    config: ImportConfig,
+    where: str,
+    name: str,
+) -> tuple[Channels, list[Issue]]:
+    """Convert values to channels, without those that were not measured."""
     channels = converted(dict(zip(TOPIC_CHANNELS[role], values.T, strict=True)), config)
     if role == "wrench":
         # A sensor that does not measure a load reports it as zero.
@@ -205,42 +325,84 @@ def _read_topic(
         np.isnan(values[:, 1]).all() or config.columns.get(second) == NO_COLUMN
     ):
         del channels[second]
-    if role == "command" and second not in channels:
-        if config.velocity_rad_s is None:
-            raise LogError(
-                f"{where}: the commands have no velocity; use --velocity 3.1 if all commands had "
-                "that velocity [rad/s]"
-            )
-        channels[second] = np.full(len(time), config.velocity_rad_s)
-        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
-        issues.append(Issue("note", "columns", name, text))
-    return Track(time, channels), issues
+    if role != "command" or second in channels:
+        return channels, []
+    if config.velocity_rad_s is None:
+        raise LogError(
+            f"{where}: the commands have no velocity; use --velocity 3.1 if all commands had that "
+            "velocity [rad/s]"
+        )
+    channels[second] = np.full(len(values), config.velocity_rad_s)
+    text = f"command: no velocity: {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
+    return channels, [Issue("note", "columns", name, text)]
+
+
+def _check_publishers(track: Track, topic: str, name: str) -> list[Issue]:
+    """Return an error if two publishers disagree about the joint."""
+    order = np.argsort(track.time, kind="stable")
+    angle = track.channels["angle"][order]
+    rows = find_disagreements(track.time[order], angle)
+    if len(rows) < MIN_DISAGREEMENTS:
+        return []
+    row = int(rows[0])
+    message = (
+        f"{topic}: jumps back and forth in {len(rows):,} of {len(angle):,} messages, first between "
+        f"{angle[row - 1]:.3g} and {angle[row]:.3g} rad: two publishers disagree about the joint"
+    )
+    fix = (
+        "stop the other publisher, such as joint_state_publisher, and record again; or choose a "
+        "topic with one publisher, e.g. --topics joint=TOPIC"
+    )
+    return [Issue("error", "two publishers", name, message, fix, "angle", row)]
+
+
+def find_disagreements(
+    time: Float[np.ndarray, "rows"], angle: Float[np.ndarray, "rows"]
+) -> Int[np.ndarray, "_"]:
+    """Return the rows of an angle that are from another publisher than their neighbours.
+
+    Such an angle is far from the ones before and after it, which are close to each other. So is a
+    single fault of a sensor, but there the clock is as regular as elsewhere, and its neighbours
+    are not faults.
+    """
+    if len(angle) < 3:
+        return np.array([], int)
+    from_previous = angle[1:-1] - angle[:-2]
+    from_next = angle[1:-1] - angle[2:]
+    jump = np.minimum(np.abs(from_previous), np.abs(from_next))
+    is_away = (jump > MIN_DISAGREEMENT_RAD) & (jump < TURN_RAD - TURN_TOLERANCE_RAD)
+    is_away &= np.abs(from_previous - from_next) < jump / 3
+    is_other = np.pad(is_away, 1)
+    if is_other.sum() < MIN_DISAGREEMENTS:
+        return np.array([], int)
+    period_s = float(np.median(np.diff(time[~is_other])))
+    is_inserted = time[2:] - time[:-2] < 1.5 * period_s
+    is_alternating = is_other[:-2] | is_other[2:]
+    return np.flatnonzero(is_away & (is_inserted | is_alternating)) + 1
 
 
 def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: Path) -> LogError:
     topics = [f"{other} ({kind})" for other, kind in sorted(types.items())]
     listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
-    fitting = [other for other, kind in types.items() if kind in READABLE_TYPES[role]]
+    # A topic with one number is rarely a command.
+    likely = set(READABLE_TYPES[role]) - {FLOAT}
+    fitting = [other for other, kind in types.items() if kind in likely]
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
+    bag = "ROS 1 bag" if path.suffix.lower() == ".bag" else "bag"
     return LogError(
-        f"{path}: no topic {topic} for the {role}; the bag has {listed}; set it with --topics "
-        f"{role}={suggestion}"
+        f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; set it with "
+        f"--topics {role}={suggestion}"
     )
 
 
-def _read_zeros(reader: Reader) -> list[tuple[float, RestForce]]:
+def _read_zeros(contents: BagContents) -> list[tuple[float, RestForce]]:
     """Return the time [s] and value [N] of each rest force that softfin measured during the
     recording."""
-    connections = [
-        each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING
-    ]
     zeros = []
-    # With an empty list of connections, the reader would read all topics.
-    for _, stamp, data in reader.messages(connections) if connections else ():
-        message: Any = type_store().deserialize_cdr(data, STRING)
-        zero = parse_zero(message.data)
+    for message, content in _decoded(contents.messages[EVENTS], (STRING,), Counter()):
+        zero = parse_zero(content.data)
         if zero is not None:
-            zeros.append((stamp / 1e9, zero))
+            zeros.append((message.logged_ns / 1e9, zero))
     return zeros
 
 
@@ -263,25 +425,21 @@ def _less_zero(
     return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
-def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, ...]:
-    """Return (angle, velocity), or the force and torque in a message."""
-    if kind == ARRAY:
-        if len(message.data) != 2:
-            raise LogError(
-                f"{where}: got an array of {len(message.data)} numbers; a command must be [angle, "
-                "velocity]"
-            )
-        return float(message.data[0]), float(message.data[1])
+def _values(kind: str, message: Any, joint: str) -> tuple[float, ...]:
+    """Return (angle, velocity), or the force and torque in a message; raises UnusableError if it
+    has none. A missing velocity is NaN."""
+    if kind in (ARRAY, FLOAT):
+        numbers = np.atleast_1d(message.data).tolist()
+        if len(numbers) not in (1, 2):
+            raise UnusableError(f"with {len(numbers)} numbers instead of [angle, velocity]")
+        return numbers[0], numbers[1] if len(numbers) == 2 else float("nan")
     if kind == JOINT_STATE:
-        names = list(message.name)
-        if joint not in names and (joint or len(message.position) != 1):
-            unnamed = f"{len(message.position)} without names"
-            listed = _plain(", ".join(names[:MAX_LISTED_TOPICS])) or unnamed
-            raise LogError(
-                f"{where}: joint not specified or not found among {listed}; set it with --topics "
-                "ROLE=TOPIC:JOINT"
-            )
+        names = message.name or [""]
         index = names.index(joint) if joint in names else 0
+        if len(message.position) <= index:
+            raise UnusableError("without a position")
+        if joint not in names:
+            raise UnusableError(OTHER_JOINTS)
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
         return float(message.position[index]), velocity
     wrench = getattr(message, "wrench", message)

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from mcap.records import Channel, Footer, Message
 
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import ArtifactError, InputError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
@@ -138,7 +138,7 @@ class Follower:
                     self._read(file)
         except OSError as error:
             self._problem = f"cannot be read ({error.strerror or error}); trying again"
-        except (LogError, ArtifactError) as error:
+        except InputError as error:
             self._problem = str(error)
             self._broken = True
 

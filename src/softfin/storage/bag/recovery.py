@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from softfin.core.errors import ArtifactError, LogError, one_line
+from softfin.core.errors import ArtifactError, InputError, LogError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
@@ -32,13 +32,17 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Header of each record: opcode and length."""
 
-MAX_RECORD_BYTES = 64 * 2**20
+MAX_RECORD_BYTES = 2**30
 """Size of the largest record or unpacked chunk that is read [bytes]. ROS 2 closes its chunks below
-one megabyte."""
+one megabyte, but a camera's chunks are often larger."""
 
 BagRecord: TypeAlias = Schema | Channel | Message | Footer
 
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
+
+
+class SizeError(InputError):
+    """A record that is too large to be read, but not damaged."""
 
 
 class RawRecord(NamedTuple):
@@ -71,13 +75,16 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
             # its bytes.
             return
         opcode, length = HEAD.unpack(head)
-        if not opcode or (opcode != Opcode.ATTACHMENT and length > MAX_RECORD_BYTES):
+        end = start + HEAD.size + length
+        is_large = opcode != Opcode.ATTACHMENT and length > MAX_RECORD_BYTES
+        if not opcode or (is_large and end > size):
             raise LogError(
                 f"invalid record of kind {opcode} with {length:,} bytes at byte {start:,}"
             )
-        end = start + HEAD.size + length
         if end > size:
             return
+        if is_large:
+            raise _size_error(length, start)
         yield RawRecord(
             opcode, start, end, b"" if opcode == Opcode.ATTACHMENT else file.read(length)
         )
@@ -94,9 +101,7 @@ def decode_bag_record(record: RawRecord) -> list[BagRecord]:
             return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
         chunk = Chunk.read(stream)
         if chunk.uncompressed_size > MAX_RECORD_BYTES:
-            raise ValueError(
-                f"{chunk.uncompressed_size:,} bytes unpacked, limit {MAX_RECORD_BYTES:,}"
-            )
+            raise _size_error(chunk.uncompressed_size, record.start)
         return cast(list[BagRecord], breakup_chunk(chunk, validate_crc=True))
     except (
         McapError,
@@ -111,16 +116,25 @@ def decode_bag_record(record: RawRecord) -> list[BagRecord]:
         raise LogError(f"{what} cannot be decoded ({one_line(error)})") from None
 
 
+def _size_error(size: int, start: int) -> SizeError:
+    return SizeError(
+        f"chunk of {size:,} bytes at byte {start:,} is too large, limit {MAX_RECORD_BYTES:,}; "
+        "write the bag again with smaller chunks, or without the topic that makes them large"
+    )
+
+
 def scan(path: Path) -> Iterator[BagRecord | Damage]:
     """Yield the records of a file in order, including those in chunks, and damaged parts where they
     occur."""
     try:
         with path.open("rb") as file:
-            yield from _scan(file, os.fstat(file.fileno()).st_size)
+            yield from _scan(file, path)
     except OSError as error:
         raise LogError(
             f"{path}: cannot be read ({error.strerror}); use the path of a .mcap file"
         ) from None
+    except SizeError as error:
+        raise SizeError(f"{path}: {error}") from None
 
 
 def check_bag(path: Path) -> None:
@@ -130,15 +144,18 @@ def check_bag(path: Path) -> None:
             check_file_format("recording", item.metadata, str(path))
         elif isinstance(item, Damage):
             raise LogError(
-                f"{path}: truncated, or not a ROS 2 bag (at byte {item.byte:,}: {item.reason}); "
-                f"to save its readable contents, run softfin bag recover {path}"
+                f"{path}: incomplete or damaged at byte {item.byte:,} ({item.reason}); to save its "
+                f"readable contents, run softfin bag recover {path}"
             )
 
 
-def _scan(file: io.BufferedIOBase, size: int) -> Iterator[BagRecord | Damage]:
+def _scan(file: io.BufferedIOBase, path: Path) -> Iterator[BagRecord | Damage]:
     if file.read(len(MAGIC)) != MAGIC:
-        yield Damage(0, "it does not start with the MCAP signature")
-        return
+        raise LogError(
+            f"{path}: not an MCAP file, because it does not start with the MCAP signature; use a "
+            "bag that softfin or ros2 bag recorded as MCAP"
+        )
+    size = os.fstat(file.fileno()).st_size
     at = len(MAGIC)
     reason = "incomplete record"
     try:
@@ -162,7 +179,7 @@ class Recovery(NamedTuple):
     messages: dict[str, int]
     """Number of saved messages per topic."""
     damages: tuple[Damage, ...]
-    """Parts of the file that could not be read."""
+    """Parts of the file that could not be read; if there are none, no file was written."""
 
     def to_dict(self) -> JsonObject:
         """Convert for JSON."""
@@ -178,12 +195,14 @@ def recovered_path(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Write all readable messages to a new bag; raises LogError if there are none, and
-    ArtifactError if `out` exists."""
+    """Write all readable messages of a damaged file to a new bag; raises LogError if there are
+    none, and ArtifactError if `out` exists. An intact file is not copied."""
     if out.resolve() == path.resolve():
         raise ArtifactError(f"{out}: is the damaged recording itself; choose another --out")
     artifacts.check_file(out, overwrite)
     damages = [item for item in scan(path) if isinstance(item, Damage)]
+    if not damages:
+        return Recovery({}, ())
     messages = Counter[str]()
 
     def copy(file: BinaryIO) -> None:
@@ -198,10 +217,9 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
                 messages[topic] += 1
         writer.finish()
         if not messages:
-            reason = damages[0].reason if damages else "it is empty"
             raise LogError(
-                f"{path}: contains no readable messages ({reason}); copy it again from where it "
-                "was recorded"
+                f"{path}: contains no readable messages ({damages[0].reason}); copy it again "
+                "from where it was recorded"
             )
 
     artifacts.write_file(out, copy)
