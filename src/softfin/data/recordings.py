@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.errors import ConfigurationError, LogError, NotALogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
@@ -79,20 +79,22 @@ def open_logs(
     parts = _parts(list(files.values()), config.test)
     logs: list[NamedLog] = []
     issues: list[Issue] = []
+    refusals: list[LogError] = []
     for index, (file, name) in enumerate(files.items()):
-        if is_bag(file):
-            # Imported late: the bag reader is only loaded if there are bags.
-            from softfin.data.importing.rosbag import read_bag
-
-            recordings = [read_bag(file, name, parts[name], config)]
+        try:
+            some, found = _read(file, name, parts[name], config)
+        except LogError as error:
+            # One file that is no log does not make the others useless.
+            refusals.append(error)
+            found = [_refusal(error, name)]
         else:
-            recordings = read_table(file, name, parts[name], config)
-        for recording in recordings:
-            some, found = build_logs(recording, config)
             logs += some
-            issues += found
+        issues += found
         if progress is not None:
             progress("read", (index + 1) / len(files), f"{len(logs):,} logs")
+    if not logs and refusals:
+        others = f"; {counted(len(refusals) - 1, 'more file')} refused" if refusals[1:] else ""
+        raise LogError(f"{refusals[0]}{others}")
     if not logs:
         raise LogError(
             f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
@@ -111,6 +113,33 @@ def open_logs(
         "issues": [dataclasses.asdict(issue) for issue in inspection.issues],
     }
     return OpenedLogs(tuple(logs), inspection, data_hash, metadata)
+
+
+def _read(
+    file: Path, name: str, part: Part, config: ImportConfig
+) -> tuple[list[NamedLog], list[Issue]]:
+    """Read the logs in a file, and the issues found on the way."""
+    if is_bag(file):
+        # Imported late: the bag reader is only loaded if there are bags.
+        from softfin.data.importing.rosbag import read_bag
+
+        recordings = [read_bag(file, name, part, config)]
+    else:
+        recordings = read_table(file, name, part, config)
+    logs: list[NamedLog] = []
+    issues: list[Issue] = []
+    for recording in recordings:
+        some, found = build_logs(recording, config)
+        logs += some
+        issues += found
+    return logs, issues
+
+
+def _refusal(error: LogError, name: str) -> Issue:
+    """Return the issue of a file that cannot be read: an error, unless it is no log at all."""
+    if isinstance(error, NotALogError):
+        return Issue("warning", "not a log", name, f"ignored ({error})")
+    return Issue("error", "unreadable", name, str(error))
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
