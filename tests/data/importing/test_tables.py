@@ -157,12 +157,12 @@ HEADER = ",".join(AUTHORS)
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no header"),
+        ("", "no rows"),
         ("1,2,3\n4,5,6\n", "column names"),
         ("angle,angle,cmd,cmd vel,fx,fy\n1,2,3,4,5,6\n", "duplicate column 'angle'"),
         (f"{HEADER}\n", "no rows"),
         (f"{HEADER}\n1,2,3,4,x\n", "'force_y_n' contains no numbers"),
-        (f"{HEADER}\n1,2,3\n", "no row has the 5 cells"),
+        (f"{HEADER}\n1,2,3\n", "no rows of numbers"),
     ],
 )
 def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):

@@ -167,14 +167,16 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     """Drop rows with missing values and rows whose time repeats or goes back; check the rate of the
     remaining rows."""
     finite, rows, issues = _finite_rows(track, name, config)
-    if len(finite.time) < 2:
+    is_command = track.channels.keys() <= COMMAND_CHANNELS
+    # One command is enough, because it holds until the next one.
+    if len(finite.time) < 2 - is_command:
         raise LogError(
             f"{name}: only {counted(len(finite.time), 'row')} with a time and values for "
             f"{', '.join(track.channels)}; check these columns"
         )
     valid, rows, found = _forward_rows(finite, rows, name)
     issues += found
-    if valid.channels.keys() <= COMMAND_CHANNELS:
+    if is_command:
         return valid, issues
     _check_digits(finite, len(valid.time), name)
     # Unwrap first: derivatives, filters and interpolation must not see the jumps.

@@ -20,6 +20,7 @@ from softfin.data.importing.names import (
     FURTHER,
     KINDS,
     OWN_NAMES,
+    ROSTOPIC_TIME,
     SI,
     UNITS,
     read_name,
@@ -133,9 +134,8 @@ def _recognized_columns(
     for channel, several in (in_unknown_units | candidates).items():
         if channel == "command_velocity":
             several = _preferred_velocities(several)
-        if channel == "time" and "%time" in several:
-            # rostopic echo -p writes its own time first, then the stamps in the message.
-            several = ["%time"]
+        if ROSTOPIC_TIME in several:
+            several = [ROSTOPIC_TIME]
         if len(several) > 1 and channel in FURTHER:
             continue
         if len(several) > 1:

@@ -191,20 +191,22 @@ NEUTRAL_WORDS = {
     "field",
     "utc",
     "local",
-    "system",
 }
 """Words that do not change the meaning of a name."""
 
-NUMBER = r"\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+UNIT_FACTOR = r"\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 
-RAW_UNITS = {"raw", "count", "counts", "tick", "ticks", "adc", "lsb", "v", "mv", "volt", "volts"}
+RAW_UNITS = "raw|counts?|ticks?|adc|lsb|m?v|volts?"
 """Units at the end of a name that have no fixed conversion."""
+
+ROSTOPIC_TIME = "%time"
+"""First column of ``rostopic echo -p``, in nanoseconds; the other times are in the message."""
 
 _PHRASES: dict[tuple[str, ...], str] = {}
 for _channel, _names in PHRASES.items():
     _PHRASES |= {tuple(sorted(_name.split())): _channel for _name in _names}
 
-_KNOWN_WORDS = COMMAND_WORDS | NEUTRAL_WORDS | set(itertools.chain(*_PHRASES)) | {"-", "z"}
+_KNOWN_WORDS = COMMAND_WORDS | NEUTRAL_WORDS | {*itertools.chain(*_PHRASES), "z"}
 
 
 def _spellings(kind: str) -> dict[str, str]:
@@ -251,13 +253,15 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
     """Split a name into its words in lower case and the unit at its end (None without a unit)."""
+    if name == ROSTOPIC_TIME:
+        return ["time"], "ns"
     # Drop "(t)", which only marks a function of time, and the exponent of "rad s^-1", because the
-    # unit words are joined by a slash below. "%time" is the first column of rostopic echo -p.
+    # unit words are joined by a slash below.
     plain = re.sub(r"\(t\)|^%|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
     # Words end at non-letters and before capitals (CmdAngle), but not within units such as mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     lower = parted.lower().replace("µ", "u").replace("μ", "u")
-    words = re.findall(rf"[^\W\d_]+|{NUMBER}|[°%]|-(?=[\])}}>])", lower)
+    words = re.findall(rf"[^\W\d_]+|{UNIT_FACTOR}|[°%]|-(?=[\])}}>])", lower)
     for start in range(max(len(words) - 3, 0), len(words)):
         ending = [word for word in words[start:] if word != "per"]
         # A single letter that is the entire name is not a unit: "s" or "N" could mean anything.
@@ -265,7 +269,9 @@ def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
             unit = SPELLED[kind]["/".join(ending)]
             factor = words[start - 1] if start else ""
             # "[0.229 rpm]" or "0.229rpm" is a multiple of the unit; in "angle 2 [deg]", 2 is not.
-            if "." in factor or re.search(rf"[\[({{<]\s*{NUMBER}\s*{re.escape(ending[0])}", lower):
+            if "." in factor or re.search(
+                rf"[\[({{<]\s*{UNIT_FACTOR}\s*{re.escape(ending[0])}", lower
+            ):
                 return words[: start - 1], f"{factor} {unit}"
             return words[:start], unit
     return words, None
@@ -279,17 +285,11 @@ def unit_factor(kind: str, unit: str) -> float:
 
 def split_unknown_unit(name: str, kind: str) -> tuple[str, str] | None:
     """Split a name that ends in a unit that softfin does not know, if it does."""
-    _, unit = split_unit(name, kind)
-    if unit is not None:
+    ending = re.fullmatch(rf"(.*?)(?:[\[({{<](.*)[\])}}>]\s*|[\W_]({RAW_UNITS}))", name.lower())
+    if ending is None or split_unit(name, kind)[1] is not None:
         return None
-    bracketed = re.fullmatch(r"(.*?)[\[({<]([^\])}>]*)[\])}>]\s*", name)
-    if bracketed:
-        rest, text = bracketed.groups()
-        words, _ = split_unit(text, kind)
-        if {word for word in words if not word.isdigit()} - _KNOWN_WORDS:
-            return rest, text.strip()
+    rest, bracketed, raw = ending.groups()
+    words = re.findall(r"[^\W\d_]+", bracketed or raw or "")
+    if set(words) <= _KNOWN_WORDS:
         return None
-    last = re.fullmatch(r"(.*[\W_])([^\W_]+)", name)
-    if last and last[2].lower() in RAW_UNITS:
-        return last[1], last[2]
-    return None
+    return rest, (bracketed or raw).strip()

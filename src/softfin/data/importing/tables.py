@@ -20,27 +20,19 @@ from softfin.data.importing.columns import (
 )
 from softfin.data.importing.importing import ANGLES, ImportConfig
 from softfin.data.importing.names import CHANNELS, FURTHER, OWN_NAMES
-from softfin.data.importing.text_table import NUMBER, Table, read_text_table
-from softfin.data.issues import Issue, counted
+from softfin.data.importing.text_table import DECIMAL, Table, read_text_table
+from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
-CLOCK = (
-    r"(?:(?P<hours>\d+):)?(?P<minutes>\d{1,2}):(?P<seconds>\d{1,2}(?:[.,:]\d+)?)"
-    r"\s*(?P<half>[AaPp][Mm])?"
-)
-"""Time of day, of which the hours may be missing."""
+TIME_OF_DAY = r"(?P<hours>\d+):(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,]\d+)?)"
+"""Time of day, with or without a date."""
 
-DAY_S = 86_400.0
+HALF_DAY_S = 43_200.0
 
 SPARSE = 0.1
-"""Share of missing values from which a table is taken for one of several sources, each with its own
-rows."""
-
-MIN_UNIX_S = 1e9
-"""Unix time of the year 2001 [s]; larger values must be in a smaller unit than the year 2286."""
-
-Numbers = Float[np.ndarray, "rows"]
+"""Share of missing values above which a table has been merged from several sources, each with its
+own rows."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
@@ -49,213 +41,167 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     is_text = path.suffix.lower() in CSV
     table = read_text_table(path, name) if is_text else _read_parquet(path)
     found = choose_columns(list(dict.fromkeys(table.names)), config, str(path))
-    for channel in FURTHER:
-        # A column of text with the name of a further channel is some other thing.
-        if channel in found and not _is_usable(table, found[channel]):
-            del found[channel]
-    own = [] if is_text else _own_channels(table, found)
     issues = list(table.issues)
     numbers: Channels = {}
-    for channel in [*found, *own]:
-        column = found.get(channel, Column(channel, "", True))
-        numbers[channel], is_clock = _read_column(table, channel, column, path)
-        if is_clock:
-            found[channel] = Column(column.name, "s", True)
-        elif channel == "time":
-            check_unit(channel, column, str(path))
-            found[channel] = _with_unix_unit(column, numbers[channel])
-        elif channel in ANGLES:
-            numbers[channel], negative = _signed(numbers[channel])
-            if negative:
-                text = f"{negative:,} values of an unsigned integer are read as negative"
-                issues.append(Issue("note", "unsigned", name, text, column=channel))
+    for channel, column in list(found.items()):
+        if channel in FURTHER and not _is_usable(table, column):
+            # A column of text with the name of a further channel is some other thing.
+            del found[channel]
+            continue
+        numbers[channel], found[channel] = _read_column(table, channel, column, path)
+        if channel in ANGLES:
+            numbers[channel], found_unsigned = _signed(numbers[channel], channel, name)
+            issues += found_unsigned
     units = {channel: column.unit for channel, column in found.items()}
+    values = converted(numbers, config, units)
+    own = [] if is_text else _own_channels(table, found)
+    for channel in own:
+        values[channel], _ = _read_column(table, channel, Column(channel, "", True), path)
     rows = len(table.columns[0])
-    values = converted({channel: numbers[channel] for channel in found}, config, units)
-    values |= {channel: numbers[channel] for channel in own}
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
     issues += _notes(name, table.names, found, own, config)
+    return _split_rows(Recording(name, part, (Track(time, values),), tuple(issues)), table, config)
+
+
+def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> list[Recording]:
+    """Split a recording into its logs, and each log into the tracks of its sources."""
+    name, part, (whole,), issues = recording
+    rows = len(whole.time)
     edges = {*table.starts, *range(0, rows, config.rows_per_log or rows), rows}
     recordings = []
     for start, end in itertools.pairwise(sorted(edges)):
-        title = name if len(edges) == 2 else f"{name} rows {start}..{end - 1}"
-        piece, dropped = _without_empty_rows(Track(time, values).take(slice(start, end)), title)
-        if len(piece.time):
-            tracks, merged = _tracks(piece, title)
-            recordings.append(Recording(title, part, tracks, (*issues, *dropped, *merged)))
-            # The issues describe the file, so only its first piece has them.
-            issues = []
+        piece = name if len(edges) == 2 else f"{name} rows {start}..{end - 1}"
+        tracks, merged = _tracks(whole.take(slice(start, end)), piece)
+        recordings.append(Recording(piece, part, tracks, (*issues, *merged)))
+        # The notes describe the file, so only its first piece has them.
+        issues = ()
     return recordings
+
+
+def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
+    """Group the channels of a table by the rows in which they have values: a table that was merged
+    from several sources has rows with the values of one source only."""
+    groups: dict[bytes, Channels] = {}
+    fewest = len(table.time)
+    for channel, values in table.channels.items():
+        has_value = np.isfinite(values)
+        groups.setdefault(has_value.tobytes(), {})[channel] = values
+        if channel in CHANNELS:
+            fewest = min(fewest, int(has_value.sum()))
+    if fewest >= (1 - SPARSE) * len(table.time):
+        return (table,), []
+    tracks = []
+    texts = []
+    for mask, channels in groups.items():
+        track = Track(table.time, channels).take(np.frombuffer(mask, bool))
+        tracks.append(track)
+        texts.append(f"{', '.join(channels)} in {len(track.time):,}")
+    text = f"of {len(table.time):,} rows, {'; '.join(texts)} have values, each at its own times"
+    return tuple(tracks), [Issue("note", "merged", name, text)]
 
 
 def _read_parquet(path: Path) -> Table:
     table = read_parquet(path)
-    names = []
-    columns = []
-    for name, column in zip(table.schema.names, table.columns, strict=True):
-        if _is_list(column.type):
-            # Lists of one length become one column per element.
-            lengths = pc.list_value_length(column)
-            for index in range(pc.min(lengths).as_py() or 0):
-                names.append(f"{name}[{index}]")
-                columns.append(pc.list_element(column, index))
-        else:
-            names.append(name)
-            columns.append(column)
     if not table.num_rows:
         raise NotALogError(f"{path}: the table has no rows; record again")
+    names: list[str] = []
+    columns: list[pa.ChunkedArray] = []
+    for name, column in zip(table.schema.names, table.columns, strict=True):
+        parts = [column]
+        if isinstance(column.type, (pa.ListType, pa.LargeListType, pa.FixedSizeListType)):
+            shortest = pc.min(pc.list_value_length(column)).as_py() or 0
+            parts = [pc.list_element(column, index) for index in range(shortest)]
+            names += [f"{name}[{index}]" for index in range(shortest)]
+        else:
+            names.append(name)
+        columns += parts
     return Table(names, columns, [0], [])
-
-
-def _is_list(kind: pa.DataType) -> bool:
-    tests = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    return any(test(kind) for test in tests)
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def _is_usable(table: Table, column: Column) -> bool:
     """Whether a column contains numbers."""
     values = table.columns[table.names.index(column.name)]
-    if _is_text(values.type):
-        return bool(np.isfinite(_parse(values)).any())
-    return _is_numeric(values.type)
+    return _is_numeric(values.type) or bool(
+        pa.types.is_string(values.type) and np.isfinite(_parse(values)).any()
+    )
 
 
 def _is_numeric(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
-def _read_column(table: Table, channel: str, column: Column, path: Path) -> tuple[Numbers, bool]:
-    """Return the numbers in a column, and whether they are times of day, in seconds."""
+def _read_column(
+    table: Table, channel: str, column: Column, path: Path
+) -> tuple[Float[np.ndarray, "rows"], Column]:
+    """Return the numbers in a column, and the column with the unit of its type, if it has one."""
     if table.names.count(column.name) > 1:
         raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
     values = table.columns[table.names.index(column.name)]
     kind = values.type
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-        values = values.cast(kind)
-    if pa.types.is_timestamp(kind) or pa.types.is_time(kind) or pa.types.is_duration(kind):
-        per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
-        stamps = values.cast(pa.int32() if pa.types.is_time32(kind) else pa.int64())
-        return _floats(stamps) / per_second, channel == "time"
-    if not _is_text(kind):
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        return _floats(values.cast(pa.int64())), Column(column.name, kind.unit, True)
+    if not pa.types.is_string(kind):
+        check_unit(channel, column, str(path))
         try:
-            return _floats(values), False
+            return _floats(values), column
         except pa.ArrowException:
             raise LogError(
                 f"{path}: column {column.name!r} has type {kind}, must be numeric; choose another "
                 "column or convert it"
             ) from None
     numbers = _parse(values)
-    if np.isfinite(numbers).any():
-        return numbers, False
-    if channel == "time" and (times := _parse_clock(values)) is not None:
-        return times, True
-    shown = next((text for text in values.to_pylist() if text), "")
-    raise LogError(
-        f"{path}: column {column.name!r} contains no numbers (first value {shown!r}); choose "
-        f"another column with --columns {channel}=NAME"
-    )
+    if channel == "time" and not np.isfinite(numbers).any():
+        numbers = _parse_clock(values)
+        column = Column(column.name, "s", True)
+    if not np.isfinite(numbers).any():
+        raise LogError(
+            f"{path}: column {column.name!r} contains no numbers (first {values[0].as_py()!r}); "
+            f"choose another column with --columns {channel}=NAME"
+        )
+    check_unit(channel, column, str(path))
+    return numbers, column
 
 
-def _floats(column: pa.ChunkedArray) -> Numbers:
+def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
     # A safe cast would reject nanoseconds since 1970, which exceed the 53 bits of a double. The
     # rounding error is at most 0.13 us.
-    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
+    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
 
 
-def _parse(column: pa.ChunkedArray) -> Numbers:
+def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
     """Parse numbers with a decimal point or comma; NaN for any other text."""
-    text = pc.replace_substring(column, ",", ".")
-    is_number = pc.match_substring_regex(text, f"^{NUMBER}$")
-    return _floats(pc.if_else(is_number, text, None).cast(pa.float64()))
+    is_number = pc.match_substring_regex(column, f"^{DECIMAL}$")
+    return _floats(pc.if_else(is_number, pc.replace_substring(column, ",", "."), None))
 
 
-def _parse_clock(column: pa.ChunkedArray) -> Numbers | None:
-    """Parse times of day, with or without a date, as seconds that continue past midnight."""
-    parts = pc.extract_regex(column, CLOCK).combine_chunks()
-    hours = _parse(parts.field("hours"))
-    minutes = _parse(parts.field("minutes"))
-    seconds = _parse(pc.replace_substring(parts.field("seconds"), ":", "."))
-    half = np.asarray(pc.utf8_lower(parts.field("half")).to_numpy(zero_copy_only=False))
-    hours = np.where(half == "", hours, hours % 12) + 12 * (half == "pm")
-    times: Numbers = 3600 * np.nan_to_num(hours) + 60 * minutes + seconds
+def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
+    """Parse times of day as seconds that continue at midnight and noon."""
+    parts = pc.extract_regex(column, TIME_OF_DAY)
+    hours, minutes, seconds = map(_parse, parts.flatten())
+    times = np.asarray(3600 * hours + 60 * minutes + seconds)
+    # The date is not needed: where it changes, the time goes back by 24 hours, or by 12 with AM
+    # and PM.
     is_valid = np.isfinite(times)
-    if not is_valid.any():
-        return None
-    # The date is not needed: at midnight, the time of day goes back by a day.
-    times[is_valid] = np.unwrap(times[is_valid], period=DAY_S)
+    times[is_valid] = np.unwrap(times[is_valid], period=HALF_DAY_S)
     return times
 
 
-def _with_unix_unit(column: Column, time: Numbers) -> Column:
-    """Return the column with the unit that a time since 1970 shows by its size."""
-    typical = float(np.nanmedian(time))
-    for unit, per_second in {"ms": 1e3, "us": 1e6, "ns": 1e9}.items():
-        is_in_unit = MIN_UNIX_S * per_second <= typical < 1e3 * MIN_UNIX_S * per_second
-        if is_in_unit and not column.is_unit_stated:
-            return column._replace(unit=unit)
-    return column
-
-
-def _signed(values: Numbers) -> tuple[Numbers, int]:
-    """Return integers with their sign, and the number of those that were recorded without it, as 16
-    or 32 bits: -1 as 65535, e.g. by a drive that turns past 0."""
+def _signed(
+    values: Float[np.ndarray, "rows"], channel: str, name: str
+) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
+    """Return integers that a drive recorded without their sign, such as -1 as 65535, with it."""
     finite = values[np.isfinite(values)]
-    if not finite.size or finite.min() < 0 or (finite != np.round(finite)).any():
-        return values, 0
-    for bits in (16, 32):
-        full = 2.0**bits
-        is_negative = values >= full / 2
-        passes_zero = np.abs(np.diff(finite)).max(initial=0) > full / 2
-        if passes_zero and finite.max() < full:
-            return values - full * is_negative, int(is_negative.sum())
-    return values, 0
-
-
-def _without_empty_rows(table: Track, name: str) -> tuple[Track, list[Issue]]:
-    """Drop rows without any number, such as lines of text."""
-    series = list(table.channels.values())
-    has_value = np.isfinite(series).any(axis=0)
-    # Without a column for it, every row has a time.
-    has_value |= np.isfinite(table.time) & ~np.isfinite(table.time).all()
-    empty = np.flatnonzero(~has_value)
-    if not empty.size:
-        return table, []
-    text = f"{counted(empty.size, 'row')} without any number dropped"
-    fix = "check whether other text was written to the file"
-    issue = Issue("warning", "dropped rows", name, text, fix, row=int(empty[0]))
-    return table.take(has_value), [issue]
-
-
-def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
-    """Group the channels of a table by the rows in which they have values.
-
-    Tables that are merged from several sources have rows with the values of one source only.
-    """
-    has_time = np.isfinite(table.time)
-    counts = {}
-    groups: dict[bytes, Channels] = {}
-    for channel, values in table.channels.items():
-        has_value = np.isfinite(values) & has_time
-        counts[channel] = int(has_value.sum())
-        groups.setdefault(has_value.tobytes(), {})[channel] = values
-    needed = [counts[channel] for channel in counts if channel in CHANNELS]
-    if min(needed) >= (1 - SPARSE) * has_time.sum():
-        return (table,), []
-    tracks = []
-    for mask, channels in groups.items():
-        rows = np.frombuffer(mask, bool)
-        if rows.any() or channels.keys() & set(CHANNELS):
-            tracks.append(Track(table.time, channels).take(rows))
-    listed = ", ".join(f"{channel} in {count:,}" for channel, count in counts.items())
-    text = f"of {len(table.time):,} rows, {listed} have values; each channel keeps its own times"
-    return tuple(tracks), [Issue("note", "merged", name, text)]
+    steps = np.abs(np.diff(finite))
+    for full in (2.0**16, 2.0**32):
+        is_integer = finite.min() >= 0 and finite.max() < full and not (finite % 1).any()
+        if is_integer and steps.max(initial=0) > full / 2:
+            negative = values >= full / 2
+            text = f"{negative.sum():,} values of an unsigned integer are read as negative"
+            issue = Issue("note", "unsigned", name, text, column=channel)
+            return values - full * negative, [issue]
+    return values, []
 
 
 def _own_channels(table: Table, found: dict[str, Column]) -> list[str]:

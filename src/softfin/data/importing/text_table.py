@@ -1,10 +1,9 @@
 """Read the columns of a text file as text: finds its encoding, header, units and delimiter.
 
-The header is the line whose width fits the most numbers below it, so lines before it are ignored.
-Lines of another width are dropped and counted.
+Lines above the header are ignored. Lines below it with another number of cells are dropped and
+counted.
 """
 
-import codecs
 import csv
 import re
 from pathlib import Path
@@ -21,19 +20,15 @@ from softfin.data.issues import Issue, counted
 
 DELIMITERS = (",", ";", "\t", " ")
 
-NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+DECIMAL = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 
 HEAD_BYTES = 100_000
 """Size of the beginning of a file in which the header is looked for."""
 
-BYTE_ORDER_MARKS = {
-    codecs.BOM_UTF8: "utf-8",
-    codecs.BOM_UTF16_LE: "utf-16-le",
-    codecs.BOM_UTF16_BE: "utf-16-be",
-}
+MIN_COLUMNS = 4
+"""Minimum width of a header: a log without times has command, angle and force (x, y)."""
 
-MAX_SHOWN_CHARACTERS = 60
-"""Maximum length of a line in a message."""
+COMMENT = re.compile(r"\s*(#|%|//|$)")
 
 
 class Table(NamedTuple):
@@ -47,232 +42,157 @@ class Table(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Position and form of the header of a text file."""
+    """Form of a text file."""
 
     delimiter: str
-    names: list[str]
-    """Names of the columns, with the units of a line below them."""
-    cells: list[str]
-    """First and second cell of the header as in the file."""
-    first: int
-    """Index of the first line below the header and its units."""
-    numbers: int
-    """Number of cells with numbers that fit this layout."""
+    header: list[str]
+    """Cells of the header."""
+    units: list[str]
+    """Cells of the line with the units; empty if there is none."""
+    num_above: int
+    """Number of lines above the first row."""
+    num_numbers: int
+    """Number of cells with numbers in the first row."""
 
 
 def read_text_table(path: Path, name: str) -> Table:
-    """Read a text file; raises LogError if it has no header or no rows."""
+    """Read a text file; raises NotALogError if it has no header or no rows."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check the file") from None
-    data = _to_utf8(data)
-    # A power cut leaves NUL bytes in place of the last lines.
-    num_nul = data.count(0)
-    if num_nul:
-        data = re.sub(rb"\0+", b"\n", data)
-    layout, body = _find_layout(data, path)
+    # After a byte order mark, if there is one, the header is ASCII.
+    encoding = "utf-16" if 0 in data[:4] else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", "replace")
+    # A power cut leaves NUL characters in place of the last lines.
+    text = re.sub("\0+", "\n", text)
+    layout = _find_layout(text, path)
+    body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
     columns, dropped = _read_columns(body, layout, path)
-    texts = []
-    if num_nul:
-        texts.append(f"{num_nul:,} NUL bytes ignored")
-    if dropped:
-        row, text = dropped[0]
-        shown = printable(text, most=MAX_SHOWN_CHARACTERS)
-        texts.append(
-            f"{counted(len(dropped), 'line')} without {len(layout.names)} cells dropped, the first "
-            f"is row {row}: {shown!r}"
-        )
+    if b"\0" in data and encoding != "utf-16":
+        dropped.append((len(columns[0]), "NUL bytes"))
     issues = []
-    if texts:
+    if dropped:
+        row, line = dropped[0]
+        message = (
+            f"{counted(len(dropped), 'line')} without {len(columns)} cells dropped, the first at "
+            f"row {row}: {printable(line, most=60)!r}"
+        )
         fix = "check the end of the recording, or whether other text was written to the file"
-        issues.append(Issue("warning", "dropped rows", name, "; ".join(texts), fix))
-    is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.cells]))
+        issues.append(Issue("warning", "dropped rows", name, message, fix, row=row))
+    is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
     starts = [0]
     for number, row in enumerate(pc.indices_nonzero(is_header).to_pylist()):
         # The headers above it are removed.
         starts.append(row - number)
     is_row = pc.invert(is_header)
-    names = [column.strip() for column in layout.names]
-    return Table(names, [column.filter(is_row) for column in columns], starts, issues)
+    names = [layout.header[0].lstrip("#; "), *layout.header[1:]]
+    for index, unit in enumerate(layout.units):
+        if unit:
+            names[index] += f" [{unit}]"
+    columns = [column.filter(is_row) for column in columns]
+    return Table([name.strip() for name in names], columns, starts, issues)
 
 
-def _to_utf8(data: bytes) -> bytes:
-    for mark, encoding in BYTE_ORDER_MARKS.items():
-        if data.startswith(mark):
-            return data[len(mark) :].decode(encoding, "replace").encode()
-    head = data[:1000]
-    # The text of a log is mostly ASCII, so every second byte of UTF-16 is 0.
-    for start, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
-        if head[start::2].count(0) > 0.9 * len(head) / 2 > 0 and head[1 - start :: 2].count(0) == 0:
-            return data.decode(encoding, "replace").encode()
-    # A single damaged byte further down does not change the encoding.
-    lines = data[:HEAD_BYTES].rpartition(b"\n")[0] or data
-    try:
-        lines.decode("utf-8")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", "replace").encode()
-    return data.decode("utf-8", "replace").encode()
+def _find_layout(text: str, path: Path) -> _Layout:
+    """Return the layout with the most numbers; raises an error if there is no header."""
+    lines = re.split("\r\n?|\n", text[:HEAD_BYTES])
+    layouts = filter(None, (_layout(lines, delimiter) for delimiter in DELIMITERS))
+    best = max(layouts, key=lambda layout: layout.num_numbers, default=None)
+    if best is not None:
+        return best
+    first = next(filter(str.strip, lines), "").strip()
+    if any(all(map(_is_number, _cells(first, delimiter))) for delimiter in DELIMITERS) and first:
+        raise LogError(
+            f"{path}: no header: the first line contains numbers ({first[:60]}); add a line with "
+            "the column names above it"
+        )
+    raise NotALogError(
+        f"{path}: no rows of numbers below a header with the names of at least {MIN_COLUMNS} "
+        "columns; use the file of a log"
+    )
 
 
-def _find_layout(data: bytes, path: Path) -> tuple[_Layout, bytes]:
-    """Return the layout, and the lines below the header."""
-    head = data[:HEAD_BYTES].decode("utf-8", "replace")
-    lines = re.split(r"\r\n|\n|\r", head)
-    layouts = [_layout(lines, delimiter) for delimiter in DELIMITERS]
-    layout = max(layouts, key=lambda one: one.numbers)
-    if not layout.names or not layout.numbers:
-        _check_header(lines, path)
-        first = next(index for index, line in enumerate(lines) if line.strip())
-        delimiter = max(DELIMITERS[:3], key=lines[first].count)
-        cells = _cells(lines[first], delimiter)
-        layout = _Layout(delimiter, cells, cells[:2], first + 1, 0)
-    above = re.match(rb"(?:[^\r\n]*(?:\r\n|\n|\r|\Z)){%d}" % layout.first, data)
-    return layout, data[above.end() :] if above else b""
-
-
-def _check_header(lines: list[str], path: Path) -> None:
-    first = next((line.strip() for line in lines if line.strip()), None)
-    if first is None:
-        raise NotALogError(f"{path}: no header; the first line must contain the column names")
-    for delimiter in DELIMITERS:
-        cells = _cells(first, delimiter)
-        if all(map(_is_number, cells)):
-            raise LogError(
-                f"{path}: no header: the first line contains numbers ({first[:60]}); add a line "
-                "with the column names above it"
-            )
+def _layout(lines: list[str], delimiter: str) -> _Layout | None:
+    """Return the layout with a delimiter: a header above the first row of numbers, as wide."""
+    above: list[list[str]] = []
+    for index, line in enumerate(lines):
+        cells = _cells(line, delimiter)
+        num_numbers = sum(map(_is_number, cells))
+        if not num_numbers:
+            above.append(cells)
+            continue
+        width = len(cells)
+        # A delimiter may end the rows, the header or both.
+        padded = [[*names, ""] for names in above if len(names) >= max(MIN_COLUMNS, width) - 1]
+        fitting = [names[:width] for names in padded if not any(names[width:])]
+        if fitting:
+            fitting.reverse()
+            header = max(fitting, key=_name_score)
+            below = fitting[: fitting.index(header)]
+            units = next((row for row in below if any(map(_is_unit, row))), [])
+            units = [unit.strip(" []()") for unit in units]
+            return _Layout(delimiter, header, units, index, num_numbers)
+        above = []
+    return None
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
+    if delimiter != " ":
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    if any(map(_is_number, line.split())):
         return line.split()
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    # In a header, a space may also separate a name from its unit.
+    return re.split(r"\s{2,}|\t" if "  " in line.strip() else r"\s+(?![\[({])", line.strip())
 
 
 def _is_number(cell: str) -> bool:
-    return re.fullmatch(NUMBER, cell.strip().replace(",", ".")) is not None
+    return re.fullmatch(DECIMAL, cell.strip()) is not None
 
 
-def _layout(lines: list[str], delimiter: str) -> _Layout:
-    """Return the layout with the most numbers for a delimiter."""
-    best = _Layout(delimiter, [], [], 0, 0)
-    rows = []
-    for line in lines:
-        cells = _cells(line, delimiter) if line.strip() else []
-        rows.append((cells, sum(map(_is_number, cells))))
-    # Number of cells with numbers in this line and below, by the width of their row.
-    numbers: dict[int, int] = {}
-    is_above_numbers = False
-    for index in range(len(rows) - 1, -1, -1):
-        cells, count = rows[index]
-        if not cells:
-            continue
-        numbers[len(cells)] = numbers.get(len(cells), 0) + count
-        if not count and is_above_numbers:
-            for width, fitting in numbers.items():
-                if width > 1 and fitting > best.numbers:
-                    names, header = _header(lines, rows[: index + 1], width, delimiter)
-                    if names:
-                        best = _Layout(delimiter, names, header[:2], index + 1, fitting)
-        is_above_numbers = count > 0
-    return best
-
-
-def _header(
-    lines: list[str], rows: list[tuple[list[str], int]], width: int, delimiter: str
-) -> tuple[list[str], list[str]]:
-    """Return the names from the lines directly above the first row of numbers, and the cells they
-    are from; empty if none of these lines has that width."""
-    candidates: list[list[str]] = []
-    for index in range(len(rows) - 1, -1, -1):
-        cells, count = rows[index]
-        if count or not cells:
-            break
-        if delimiter == " ":
-            cells = _spaced_names(lines[index], width)
-        # A delimiter at the end of the lines is in the header, or in the rows, or in both.
-        while len(cells) > width and not cells[-1].strip():
-            cells = cells[:-1]
-        if len(cells) == width - 1:
-            cells = [*cells, ""]
-        if len(cells) == width:
-            candidates.insert(0, cells)
-    if not candidates:
-        return [], []
-    cells = max(candidates, key=_num_recognized)
-    names = [cells[0].lstrip("#; ").removeprefix("% "), *cells[1:]]
-    for units in candidates[candidates.index(cells) + 1 :]:
-        if any(map(_is_unit, units)):
-            names = [_with_unit(*pair) for pair in zip(names, units, strict=True)]
-            break
-    return names, cells
-
-
-def _spaced_names(line: str, width: int) -> list[str]:
-    """Split names at spaces; a space may also separate a name from its unit."""
-    text = line.strip().removeprefix("#").strip()
-    for separator in (r"\s+", r"\s{2,}|\t", r"\s+(?![\[({])"):
-        names = re.split(separator, text)
-        if len(names) == width:
-            return names
-    return []
-
-
-def _num_recognized(names: list[str]) -> int:
-    return sum(name in OWN_NAMES or read_name(name) is not None for name in names)
+def _name_score(cells: list[str]) -> int:
+    """Return how many cells are names of channels, minus those that are units."""
+    num_names = sum(cell in OWN_NAMES or read_name(cell) is not None for cell in cells)
+    return num_names - sum(map(_is_unit, cells))
 
 
 def _is_unit(cell: str) -> bool:
-    word = cell.strip().strip("[](){}<>").lower()
+    word = cell.strip(" []()").lower()
     return any(word in spelled for spelled in SPELLED.values())
 
 
-def _with_unit(name: str, unit: str) -> str:
-    unit = unit.strip().strip("[](){}<>")
-    return f"{name.strip()} [{unit}]" if unit else name
-
-
 def _read_columns(
-    body: bytes, layout: _Layout, path: Path
+    body: str, layout: _Layout, path: Path
 ) -> tuple[list[pa.ChunkedArray], list[tuple[int, str]]]:
     """Return the columns, and row and text of each line that was dropped."""
     dropped = []
 
     def drop(row: pyarrow.csv.InvalidRow) -> str:
-        # Comments are not rows.
-        if row.text.strip() and not row.text.lstrip().startswith(("#", "%", "//")):
+        if not COMMENT.match(row.text):
             dropped.append((row.number - 1, row.text))
         return "skip"
 
     if layout.delimiter == " ":
-        body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", body)
-        body = re.sub(rb"[ \t]+", b" ", body)
-    if not body.strip():
-        raise NotALogError(f"{path}: the table has no rows; record again")
-    names = [str(number) for number in range(len(layout.names))]
+        body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+    names = [str(number) for number in range(len(layout.header))]
+    # A stray quote in a file without quotes would join all lines below it.
+    quote = '"' if '"' in body[:HEAD_BYTES] else False
     try:
         table = pyarrow.csv.read_csv(
-            pa.BufferReader(body),
+            pa.BufferReader(body.encode("utf-8", "replace")),
             read_options=pyarrow.csv.ReadOptions(column_names=names, use_threads=False),
             parse_options=pyarrow.csv.ParseOptions(
-                delimiter=layout.delimiter,
-                # A stray quote in a file without quotes would join all lines below it.
-                quote_char='"' if b'"' in body[:HEAD_BYTES] else False,
-                invalid_row_handler=drop,
+                delimiter=layout.delimiter, quote_char=quote, invalid_row_handler=drop
             ),
             convert_options=pyarrow.csv.ConvertOptions(
                 column_types=dict.fromkeys(names, pa.string())
             ),
         )
     except pa.ArrowException as error:
-        raise NotALogError(
+        raise LogError(
             f"{path}: not a table ({one_line(error)}); use a CSV file with one line per row"
         ) from None
-    if not table.num_rows:
-        row, text = dropped[0] if dropped else (0, "")
-        shown = printable(text, most=MAX_SHOWN_CHARACTERS)
-        raise NotALogError(
-            f"{path}: no row has the {len(names)} cells of the header; row {row} is {shown!r}"
-        )
     return [pc.utf8_trim_whitespace(column) for column in table.columns], dropped
