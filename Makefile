@@ -16,7 +16,7 @@ OUT ?= runs/demo
 QUICK ?=
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-changed test-real-time test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
+.PHONY: setup demo day test test-quick test-changed test-real-time test-long test-ray mutants wheel test-wheel test-lowest lint docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -66,6 +66,12 @@ wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/,
 
 test-wheel: setup wheel ## the wheel in empty environments outside this folder; PYTHONS="python3.11 python3.13"
 	UV="$(UV)" SOFTFIN_WHEEL=dist SOFTFIN_PYTHONS="$(PYTHONS)" $(RUN) pytest -rs tests/test_wheel.py
+
+test-lowest: setup ## a whole day at an emulated rig with the oldest packages that pyproject.toml allows
+	$(UV) venv --quiet --clear --python $(PYTHON) build/lowest
+	$(UV) pip install --quiet --python build/lowest/bin/python --resolution lowest-direct \
+		".[emulation,learn,onnx,ros2,serial]"
+	build/lowest/bin/python examples/rig_day.py --quick --out build/lowest/day
 
 lint: setup ## style, types, the order of imports, the words, the size and shape of the code
 	$(RUN) ruff check .

@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.flops import count_flops
 from benchmarks.measure import entry, interleaved, matmul
 from softfin.core.quantities import Command
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.channels import COLUMNS
 from softfin.surrogate.paper.fit import PaperLearner
-from softfin.surrogate.paper.network import NetworkConfig
-from softfin.surrogate.streaming.ensemble import ensemble, single
+from softfin.surrogate.paper.network import Network, NetworkConfig
+from softfin.surrogate.streaming.ensemble import ensemble, forces, single
 from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
-from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales, Table
 
 ROWS = 400_000
@@ -31,13 +31,16 @@ UPDATES = 25
 def training_flops(config: NetworkConfig) -> int:
     """Forward, gradient of the weights and of the inputs, one matrix product each; none of the
     first layer's inputs."""
-    first = config.model_copy(update={"layers": config.layers[:1]}).flops()
+    net = Network.create(config, jax.random.key(0))
+    window = jnp.zeros((1, len(config.channels), config.window))
+    whole = count_flops(net, window)
+    first = count_flops(lambda: config.layers[0].apply(net.layers[0], window))
     if config.layers[0].kind == "lstm":
         # Of an LSTM only the products with the data have no gradient to pass on; those with its own
         # past do.
         steps = len(config.channels)
         first = 2 * config.layers[0].units * config.window * (3 + 4 * (steps - 1))
-    return 3 * config.flops() - first
+    return 3 * whole - first
 
 
 def main() -> list[dict[str, Any]]:
@@ -94,9 +97,10 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     learner = StreamingLearner(force_loss, config, config.force_updates)
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks
-    per_tick = 3 * 2 * products(single(members).force)
+    motion = Motion(*(column[: config.ticks] for column in columns[2:]))
+    per_tick = 3 * count_flops(forces, single(members).force, motion) / config.ticks
     return (
-        lambda: learner.run(state, table, foretold, 0, 1, jax.random.key(1)),
+        lambda: list(learner.run(state, table, foretold, [(0, 1)], jax.random.key(1))),
         ticks,
         per_tick,
     )

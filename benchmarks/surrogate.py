@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from benchmarks.flops import flops_per_tick
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import paper_layout
 from benchmarks.task import TICKS, steps
@@ -50,12 +51,12 @@ def main() -> list[dict[str, Any]]:
     return [
         entry(
             "surrogate, FLOPs a tick, streaming / paper",
-            streaming.flops_per_tick() / paper.flops_per_tick(),
+            flops_per_tick(streaming) / flops_per_tick(paper),
             "ratio",
             0.2,
             at_least=False,
-            streaming=streaming.flops_per_tick(),
-            paper=paper.flops_per_tick(),
+            streaming=flops_per_tick(streaming),
+            paper=flops_per_tick(paper),
         ),
         entry(
             "surrogate, task steps/s at batch 256, streaming / paper",
@@ -65,7 +66,7 @@ def main() -> list[dict[str, Any]]:
             streaming_actions_per_s=actions / new,
             paper_actions_per_s=actions / old,
             matmul_gflop_s=rate / 1e9,
-            streaming_share_of_matmul=ticks * streaming.flops_per_tick() / new / rate,
-            paper_share_of_matmul=ticks * paper.flops_per_tick() / old / rate,
+            streaming_share_of_matmul=ticks * flops_per_tick(streaming) / new / rate,
+            paper_share_of_matmul=ticks * flops_per_tick(paper) / old / rate,
         ),
     ]

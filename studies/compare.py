@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from benchmarks.flops import flops_per_tick
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -251,7 +252,7 @@ def main() -> None:
             "name": candidate.name,
             "model": surrogate.model,
             "parameters": surrogate.parameters(),
-            "flops_per_tick": surrogate.flops_per_tick(),
+            "flops_per_tick": flops_per_tick(surrogate),
             "horizons": candidate.horizons,
         }
         summary["surrogates"].append(row)

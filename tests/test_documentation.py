@@ -340,7 +340,7 @@ def test_yaml_is_a_rig_or_a_fin_of_topics_that_softfin_takes(tmp_path):
             file.write_text(yaml.safe_dump(values))
             found.append((load_rig if "drive" in values else load_ros2)(file))
             before = values
-    assert len(found) == 6
+    assert len(found) == 5
 
 
 def test_json_is_json():

@@ -41,7 +41,6 @@ TINY = {
     "train --ppo.num-envs": "--ppo.num-envs 2 --ppo.num-epochs 1 --steps 6",
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
-    "evaluate --error-map": "--error-map 2",
     "evaluate --random": "--random 4",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
@@ -70,7 +69,7 @@ IN_THE_DAY = (
     "run controller --reference=2,0 --arm",
     "map surrogate --out controller",
 )
-"""Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
+"""Commands that need devices, which CI does at emulated ones: examples/rig_day.py."""
 
 ELSEWHERE = {
     "demo": "tests/cli/test_demo.py",

@@ -190,10 +190,6 @@ class GruSurrogate(eqx.Module):
             "gru_force": NetPrediction("GRU, commands to force", FORCES, forces, None, count),
         }
 
-    def flops_per_tick(self) -> int:
-        """Return the number of operations: a multiplication and an addition per weight."""
-        return 2 * sum(leaf.size for leaf in jax.tree.leaves(self.net) if leaf.ndim == 2)
-
     def parameters(self) -> int:
         """Return the number of trainable parameters."""
         return sum(leaf.size for leaf in jax.tree.leaves(self.net))

@@ -32,7 +32,6 @@ def controllers_published(seeds: Sequence[int]) -> Part:
     """Gaits and policies with the default budget, in the authors' published surrogate."""
     kinds = ("gaits", "single", "grid")
     pictures = {
-        "docs/error_map.png": "judged-gaits-published/error_map.png",
         "docs/experiments.png": "judged-gaits-published/experiments.png",
     }
     part = _in_published("Controllers in the published surrogate", kinds, seeds)
@@ -51,8 +50,7 @@ def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Par
         own = (None,) if kind == "gaits" else seeds
         trained[kind] = [make_controller(kind, "published", seed) for seed in own]
         judged[kind] = [
-            evaluate(each, "published", "judged", f"{JUDGED} --error-map 7", 0.5)
-            for each in trained[kind]
+            evaluate(each, "published", "judged", JUDGED, 0.5) for each in trained[kind]
         ]
 
     def read(work: Work) -> Figures:
@@ -66,9 +64,7 @@ def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Par
             figures[f"{kind}.processor"] = work.spent(names, own, "processor_s")
             for score, summary in (("mean", "mean"), ("worst", "worst")):
                 drawn = [row["random"][f"{score}_n"] for row in rows]
-                lattice = [row["error_map"][f"{score}_n"] for row in rows]
                 figures[f"{kind}.random_{score}"] = figure("N", drawn, own, summary)
-                figures[f"{kind}.map_{score}"] = figure("N", lattice, own, summary)
             step_times(figures, kind, rows, own)
         return figures
 

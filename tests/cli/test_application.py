@@ -52,9 +52,11 @@ def plain(place: str, /, *, out: str) -> None:
         (["--rate", "2"], {"rate_hz": 2.0}),
         (["--rate=-2"], {"rate_hz": -2.0}),
         (["--rate", "-2"], {"rate_hz": -2.0}),
+        (["--force", "-1,-.5"], {"force": ((-1.0, -0.5),)}),
         (["--rate", "2", "--rate", "3"], {"rate_hz": 3.0}),
         (["--kind", "two", "--fast"], {"kind": "two", "fast": True}),
         (["--force", "1,-1", "--force=-1,2"], {"force": ((1.0, -1.0), (-1.0, 2.0))}),
+        (["--test", "-x,y", "--fast"], {"recordings": ImportConfig(test="-x,y"), "fast": True}),
         (
             ["--columns", "angle=a,velocity=-", "--command-lag", "20", "--negate", "angle"],
             {
@@ -90,6 +92,7 @@ def test_other_options_are_fields_of_the_configuration(tmp_path):
         (plain, ["here", "--out"], "--out"),
         (plain, ["here"], "--out"),
         (plain, ["--out", "there"], "PLACE"),
+        (plain, ["--place"], "--place"),
         (plain, ["here", "more", "--out", "there"], "more"),
         (work, ["--rate", "fast"], "--rate"),
         (work, ["--kind", "tow"], "two"),
@@ -97,6 +100,11 @@ def test_other_options_are_fields_of_the_configuration(tmp_path):
         (work, ["--command-lag", "2000"], "--command-lag 2000"),
         (work, ["--columns", "angle"], "--columns angle"),
         (work, ["--fas"], "--fast"),
+        (work, ["--fas", "here"], "--fas: unknown option, or missing value; did you mean --fast?"),
+        (work, ["--negate", "speed"], "--negate speed: "),
+        (work, ["--force", "nan,1"], "--force nan,1"),
+        (work, ["--force=1,inf"], "--force 1,inf"),
+        (work, ["--fast", "-1,2"], "-1"),
         (work, ["--low", "--fast"], "--low"),
     ],
 )

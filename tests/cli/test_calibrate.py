@@ -14,7 +14,7 @@ from tests.cli.test_cli import fails
         ),
         (
             ["tank", "--parameters.fin.length-m=3"],
-            "parameters.fin.length_m = 3: Input should be a valid tuple",
+            "parameters.fin.length_m = 3: must be a list",
         ),
         (
             ["tank", "--evaluations", "-1"],

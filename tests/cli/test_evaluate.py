@@ -1,11 +1,14 @@
 import json
 
+import numpy as np
 import pytest
 
 import softfin
 from softfin.cli import main
+from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS
+from softfin.gaits.reachable import Reachable
 from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
 from tests.evaluation.test_moving import Covering
@@ -36,17 +39,11 @@ def controller(monkeypatch, tmp_path):
     return str(tmp_path / "controller")
 
 
-def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys, tmp_path):
+def test_a_reference_file_goes_into_table_and_folder(controller, capsys, tmp_path):
     file = tmp_path / "reference.csv"
     file.write_text("time_s,force_x_n,force_y_n\n0,1,-1\n3,2,0\n")
     out = tmp_path / "out"
-    options = (
-        "--reference-file",
-        str(file),
-        "--error-map",
-        "3",
-        "--moving",
-    )
+    options = ("--reference-file", str(file), "--moving")
     main(["evaluate", controller, *QUICK, "--out", str(out), *options])
     text = capsys.readouterr().out
     assert "moving references" in text
@@ -57,10 +54,6 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
     ] == ["never"]
     assert sum("at 10 s" in line for line in text.splitlines()) == 4
     assert "paper" not in text
-    assert (
-        "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: error x, y mean "
-        in text
-    )
     written = json.loads((out / "evaluation.json").read_text())
     assert len(written["moving"]) == 5
 
@@ -114,6 +107,15 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_misspelt_option_is_named_although_it_took_the_controller(controller, capsys):
+    for option, nearest in (("--feedbck", ""), ("--trm", "--trim"), ("--sedes", "--seeds")):
+        with pytest.raises(SystemExit):
+            main(["evaluate", option, controller])
+        line = capsys.readouterr().err
+        assert f"{option}: unknown option" in line
+        assert nearest in line
+
+
 def test_a_randomization_is_for_the_tank(controller):
     with pytest.raises(
         ConfigurationError, match=r"--randomize 0.0: requires the virtual tank as plant, got"
@@ -136,6 +138,54 @@ def test_controllers_of_several_seeds_are_the_repetitions_of_one_evaluation(cont
     assert both["conditions"]["seeds"] == 2
     errors = [one["references"][0]["x"]["error_n"] for one in each]
     assert both["references"][0]["x"]["error_seeds_n"] == errors
+
+
+class Weaker(Loaded):
+    reachable = Reachable(np.float32([2, 0]), np.full(64, 0.5, np.float32))
+
+
+class OfOtherKind(Loaded):
+    kind = "grid"
+
+
+class OfOtherClock(Loaded):
+    clock = ActionClock.parse("6,1")
+
+
+def evaluate_different(monkeypatch, controller, other, **options):
+    """Evaluate two different controllers together."""
+    loaded = iter([Loaded(), other()])
+    monkeypatch.setattr("softfin.evaluation.evaluate.load_controller", lambda path: next(loaded))
+    options = {"plant": "tests.plants:AnalyticFin", "seconds": 3, "repeats": 1, **options}
+    return softfin.evaluate(controller, controller, **options)
+
+
+@pytest.mark.parametrize("other", [OfOtherKind, OfOtherClock])
+def test_controllers_of_different_kinds_or_clocks_are_refused(monkeypatch, controller, other):
+    with pytest.raises(ConfigurationError, match="evaluate them separately"):
+        evaluate_different(monkeypatch, controller, other, reference=((2.0, 0.0),))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"reference": ((3.0, 0.0),)}, {"reference": ((2.0, 0.0),), "moving": True}]
+)
+def test_controllers_that_track_different_forces_are_refused(monkeypatch, controller, options):
+    with pytest.raises(ConfigurationError, match="track different forces"):
+        evaluate_different(monkeypatch, controller, Weaker, **options)
+
+
+def test_controllers_with_different_reach_share_references_that_both_can_track(
+    monkeypatch, controller
+):
+    summary = evaluate_different(monkeypatch, controller, Weaker, reference=((2.0, 0.0),))
+    assert summary["references"][0]["tracked_reference_n"] == [2, 0]
+
+
+def test_random_references_of_several_controllers_are_pooled(monkeypatch, controller):
+    options = {"reference": ((2.0, 0.0),), "random": 5}
+    summary = evaluate_different(monkeypatch, controller, Weaker, **options)
+    assert len(summary["random"]["errors_n"]) == 10
+    assert summary["random"]["worst_n"] == np.max(summary["random"]["errors_n"], axis=0).tolist()
 
 
 @pytest.mark.parametrize(

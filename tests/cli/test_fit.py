@@ -189,6 +189,19 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
     )
 
 
+def test_a_run_of_another_model_is_not_continued(capsys, tmp_path, dataset, monkeypatch):
+    streaming = find_architecture("streaming")
+    words = ["fit", dataset, "--out", str(tmp_path / "s"), "--resume"]
+    monkeypatch.setattr(
+        "softfin.stages.surrogates.find_architecture",
+        lambda model: streaming._replace(fit=lambda *_: small.surrogate()),
+    )
+    run(capsys, *words, "--model", "streaming")
+    assert "model was 'streaming' and is 'own:MODEL'" in fails(
+        capsys, *words, "--model", "own:MODEL"
+    )
+
+
 def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, monkeypatch):
     monkeypatch.setattr("softfin.data.stroke_time.stroke_time", lambda logs: 0.12)
     out = tmp_path / "s"

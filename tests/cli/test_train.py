@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from softfin.core.action_clock import ActionClock
+from softfin.core.configuration import Changes
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig, for_clock
 from softfin.stages.controllers import missed_targets, train
@@ -69,6 +70,29 @@ def test_a_clock_wins_over_the_file(asked: Any) -> None:
     changes = {"task": {"clock": {"ticks": [25], "window_actions": 8}}, "ppo": {"num_steps": 60}}
     config, _ = asked(config=changes, clock="6,1")
     assert config.task.clock == ActionClock.at(6, 1)
+
+
+def test_a_grid_that_a_file_asks_for_has_the_defaults_of_grids(asked: Any) -> None:
+    assert asked(config={"controller": "grid"})[0] == GRID
+
+
+def test_what_is_typed_is_not_scaled_with_the_clock_of_the_file(asked: Any, tmp_path: Path) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text("task: {clock: {ticks: [25], window_actions: 8}}\nppo: {num_steps: 60}\n")
+    config, _ = asked(config=file, clock="6,1", steps=12_000)
+    assert config.steps == 12_000
+    typed = Changes(file, {"--ppo.num-steps": "48"})
+    config, _ = asked(config=typed, clock="6,1", steps=12_000)
+    assert (config.ppo.num_steps, config.steps) == (48, 12_000)
+
+
+def test_numbers_of_actions_keep_their_durations_but_are_never_shortened_for_a_short_window() -> (
+    None
+):
+    slower = for_clock(SINGLE, ActionClock.at(1, 6))
+    assert slower.task.episode_actions == SINGLE.task.episode_actions
+    faster = for_clock(SINGLE, ActionClock.at(6, 1))
+    assert faster.task.episode_actions == 2 * SINGLE.task.episode_actions
 
 
 def test_a_clock_that_does_not_exist_is_refused_before_anything_is_computed() -> None:

@@ -70,6 +70,42 @@ def test_an_episode_from_the_metadata_alone_is_the_native_one(
         )
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["angle", "reference"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
+def test_an_unusable_input_repeats_the_last_command_and_leaves_the_state_as_it_is(
+    kind: str, name: str, bad: float, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    export_onnx(load_controller(folders[kind]), tmp_path / "c.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "c.onnx", providers=["CPUExecutionProvider"])
+    said = session.get_modelmeta().custom_metadata_map
+    after = json.loads(said["state"])
+    state: dict[str, np.ndarray] = {}
+    good = {
+        "angle": np.array(0.3, np.float32),
+        "force": np.zeros(2, np.float32),
+        "reference": np.array((1.5, 0.5), np.float32),
+    }
+    for each in session.get_inputs():
+        if each.name in after:
+            kind_of = np.int64 if "int64" in each.type else np.float32
+            state[each.name] = np.array(json.loads(said[f"initial_{each.name}"]), kind_of).reshape(
+                each.shape
+            )
+    outputs = [each.name for each in session.get_outputs()]
+
+    def step(fed: dict[str, Any]) -> dict[str, np.ndarray]:
+        return dict(zip(outputs, session.run(None, fed), strict=True))
+
+    before = step(good | state)
+    state = {each: before[output] for each, output in after.items()}
+    held = step(good | {name: np.full_like(good[name], bad)} | state)
+    assert held["command_angle"] == before["command_angle"]
+    assert held["command_velocity"] == before["command_velocity"]
+    for each, output in after.items():
+        np.testing.assert_array_equal(held[output], state[each])
+
+
 def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> None:
     controller = load_controller(folders["grid"])
     export_onnx(controller, tmp_path / "c.onnx")
@@ -97,7 +133,8 @@ def test_commands_stay_within_the_limits_in_single_precision(
     far = np.array([1e6, -1e6], np.float32)
     for age in range(6):
         fed = {"angle": far[0], "force": far, "reference": far, "age": np.array(age)}
-        angle, velocity, _ = session.run(
+        fed["last_command"] = np.zeros(2, np.float32)
+        angle, velocity, *_ = session.run(
             None, {name: np.asarray(value) for name, value in fed.items()}
         )
         assert limits.angle_min <= float(angle) <= limits.angle_max
@@ -148,8 +185,9 @@ def test_the_command_line_tells_the_signature(
 ) -> None:
     main(["export", str(folders["gaits"]), "--onnx", str(tmp_path / "c.onnx"), "--json"])
     said = json.loads(capsys.readouterr().out)
-    assert said["inputs"] == ["angle", "force", "reference", "age"]
-    assert said["outputs"] == ["command_angle", "command_velocity", "next_age"]
+    assert said["inputs"] == ["angle", "force", "reference", "age", "last_command"]
+    state = ["next_age", "next_last_command"]
+    assert said["outputs"] == ["command_angle", "command_velocity", *state]
     assert said["worst"] < 1e-5
     with pytest.raises(SystemExit) as stop:
         main(["export", str(folders["gaits"]), "--onnx", str(tmp_path / "c.onnx")])

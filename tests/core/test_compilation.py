@@ -3,7 +3,7 @@ import threading
 import jax.numpy as jnp
 import pytest
 
-from softfin.core.compilation import jit, map_in_threads
+from softfin.core.compilation import chain_in_threads, jit, map_in_threads
 
 PATIENCE_S = 60
 
@@ -32,6 +32,39 @@ def test_an_error_in_a_thread_reaches_the_caller():
 
     with pytest.raises(ValueError, match="item 0"):
         map_in_threads(fail, range(3))
+
+
+def test_a_chain_starts_its_next_item_before_all_others_have_finished_the_one_before():
+    first_chain_is_at_its_second_item = threading.Event()
+
+    def append(chain, item):
+        name, items = chain
+        if (name, item) == ("a", 1):
+            first_chain_is_at_its_second_item.set()
+        if (name, item) == ("c", 0):
+            assert first_chain_is_at_its_second_item.wait(PATIENCE_S)
+        return name, [*items, item]
+
+    *_, last = chain_in_threads(append, [("a", []), ("b", []), ("c", [])], range(2))
+    assert last == [("a", [0, 1]), ("b", [0, 1]), ("c", [0, 1])]
+
+
+def test_states_of_chains_are_yielded_after_each_item():
+    after = list(chain_in_threads(lambda total, item: total + item, [0, 10], [1, 2]))
+    assert after == [[1, 11], [3, 13]]
+
+
+def test_chains_end_when_their_caller_does():
+    started = []
+
+    def count(chain, item):
+        started.append(item)
+        return chain
+
+    chains = chain_in_threads(count, [0], range(100_000))
+    next(chains)
+    chains.close()
+    assert len(started) < 100_000
 
 
 def test_threads_that_call_a_new_program_at_once_compile_it_once():

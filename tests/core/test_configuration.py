@@ -13,6 +13,7 @@ class Inner(Configuration):
 class Outer(Configuration):
     inner: Inner = Inner()
     steps: int = 3
+    pair: tuple[float, float] = (0.5, 1.57)
 
 
 class Ordered(Configuration):
@@ -77,7 +78,8 @@ def test_equal_configurations_hash_equal_so_that_programs_are_compiled_once():
         ("steps.x=1", "steps = {'x': 1}: Input should be a valid integer"),
         ("inner.rate=-1", r"inner.rate = -1: Input should be greater than 0"),
         ("steps=many", "steps = 'many': Input should be a valid integer"),
-        ("steps=[1", "not valid YAML"),
+        ("steps=[1", r"not valid YAML \(expected ',' or '\]', .*, line 1, column 3\);"),
+        ("pair=1,2", r"pair = '1,2': must be a list such as \[0.5, 1.57\]"),
     ],
 )
 def test_a_wrong_change_says_what_is_allowed(change, words):

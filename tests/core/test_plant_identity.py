@@ -1,6 +1,9 @@
+import dataclasses
+import functools
 import os
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import equinox as eqx
@@ -25,6 +28,32 @@ class Own(AnalyticFin):
     words: dict[str, int] = eqx.field(default_factory=dict, static=True)
     function: object = eqx.field(default=jnp.tanh, static=True)
     key: jax.Array = eqx.field(default_factory=lambda: jax.random.key(0))
+
+
+class Line(eqx.Module):
+    """A function with a parameter."""
+
+    slope: float = 1.0
+
+    def at(self, x):
+        return self.slope * x
+
+
+class Plain:
+    """An object without fields."""
+
+    def at(self, x):
+        return x
+
+
+def scaled(factor):
+    """Return a function that appears to be `Line.at`, and depends on the factor."""
+
+    @functools.wraps(Line.at)
+    def at(x):
+        return factor * x
+
+    return at
 
 
 class Limited(AnalyticFin):
@@ -80,6 +109,25 @@ def test_every_changed_value_type_and_static_field_changes_an_identity():
     assert len({identity(plant) for plant in different}) == len(different)
 
 
+def test_a_method_and_a_partial_function_are_hashed_with_what_they_are_bound_to():
+    functions = [
+        Line.at,
+        Line().at,
+        Line(2.0).at,
+        {"a": 1}.get,
+        {"a": 2}.get,
+        functools.partial(jnp.clip, min=1),
+        functools.partial(jnp.clip, min=2),
+        functools.partial(jnp.clip, 1),
+        functools.partial(jnp.sin, 1),
+        functools.partial(Line(2.0).at, 1),
+        jax.tree_util.Partial(jnp.sin, 1),
+    ]
+    different = {identity(Own(function=function)) for function in functions}
+    assert len(different) == len(functions)
+    assert identity(Own(function=Line().at)) == identity(Own(function=Line().at))
+
+
 def test_equal_values_have_equal_identities():
     assert identity(Own()) == identity(Own())
     assert identity(Own(words={"a": 1, "b": 2})) == identity(Own(words={"b": 2, "a": 1}))
@@ -114,9 +162,22 @@ def test_a_plant_that_is_not_a_pytree_must_be_hashable():
         identity(Unhashable())
 
 
-@pytest.mark.parametrize("member", [object(), lambda: 1])
+@pytest.mark.parametrize(
+    "member",
+    [
+        object(),
+        lambda: 1,
+        scaled(2.0),
+        functools.partial(scaled(2.0)),
+        functools.partial(jnp.clip, min=object()),
+        Plain().at,
+        types.MethodType(scaled(2.0), Line()),
+        jax.jit(Line.at),
+        dataclasses.make_dataclass("Local", [("x", int, 1)]),
+    ],
+)
 def test_a_member_that_cannot_be_compared_is_named(member):
-    with pytest.raises(PlantError, match=r"fields.1.function is a .*cannot be compared; make it"):
+    with pytest.raises(PlantError, match=r"fields.1.function.* is a .*cannot be compared; make it"):
         identity(Own(function=member))
 
 

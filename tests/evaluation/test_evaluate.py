@@ -101,7 +101,7 @@ def test_an_evaluation_replaces_an_older_one_where_asked_and_nothing_else(evalua
     assert "another" in (tmp_path / "out" / "evaluation.json").read_text()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    with pytest.raises(ArtifactError, match="not written by softfin"):
+    with pytest.raises(ArtifactError, match="not a softfin folder"):
         write_evaluation(evaluation, tmp_path / "mine", overwrite=True)
 
 

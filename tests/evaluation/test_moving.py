@@ -200,10 +200,10 @@ def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_m
         plan.score(run(Covering(), Exploding(), plan.tracked, plan.seconds, KEYS))
 
 
-def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path):
+def test_the_evaluation_holds_what_moves_and_its_figures(tmp_path):
     recorded = Recorded(time_s=(0, 3), force_n=((1, 1), (2, 0)))
     config = EvaluateConfig(
-        references=((1, 1),), seconds=3, seeds=2, moving=True, recorded=recorded, error_map=4
+        references=((1, 1),), seconds=3, seeds=2, moving=True, recorded=recorded
     )
     summary = write_evaluation(
         score_controller(Covering(), AnalyticFin(), config), tmp_path / "out"
@@ -211,16 +211,13 @@ def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path)
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
     assert len(summary["moving"]) == 5
     assert summary["moving"][-1]["duration_s"] == 6
-    assert summary["error_map"]["not_covered"] == 4
-    names = {f"{name}.png" for name in ("experiments", "steps", "recorded", "error_map")}
+    names = {f"{name}.png" for name in ("experiments", "steps", "recorded")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "evaluation.json"}
 
 
 def test_without_being_asked_for_nothing_moves():
-    assert (
-        not {"moving", "error_map"}
-        & score_controller(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
-    )
+    evaluation = score_controller(Covering(), AnalyticFin(), EvaluateConfig(seconds=3))
+    assert "moving" not in evaluation.summary()
 
 
 def test_the_figure_shows_the_reference_beside_the_moving_average(moving):

@@ -15,6 +15,7 @@ from softfin.core.operations import select_operations
 from softfin.core.quantities import Command, Limits
 from softfin.core.window import moving_error, sobolev, window_mean
 from softfin.explorer.contents import controller_data, hand_data, plant_data, surrogate_data
+from softfin.gaits.reachable import Reachable
 from softfin.tank import Tank, TankConfig
 from tests.control.folders import KINDS, folder_option
 from tests.control.test_numpy import episode
@@ -143,6 +144,16 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
             distances = np.linalg.norm(np.stack([near, expected]) - force, axis=1)
             assert distances[0] == pytest.approx(distances[1], abs=2e-3)
     assert compared > 20
+
+
+@pytest.mark.parametrize("radius_n", [0.02, 2.0, 200.0])
+def test_the_tolerance_at_the_edge_of_a_region_is_that_of_softfin_at_any_size(radius_n):
+    region = Reachable(np.zeros(2, np.float32), np.full(72, radius_n, np.float32))
+    distances = radius_n * np.array([0.99, 1.0003, 1.0005, 1.03])
+    script = "output = input.forces.map((force) => new Reachable(input.region).contains(force));"
+    forces = [[float(distance), 0.0] for distance in distances]
+    page = node.run(script, region=region.to_dict(), forces=forces)
+    assert page == [bool(region.contains(force)) for force in forces] == [True, True, False, False]
 
 
 def test_a_hand_strokes_to_both_sides_within_the_limits_of_all_plants():

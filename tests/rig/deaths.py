@@ -217,7 +217,7 @@ class Fleet(contextlib.ExitStack):
                 state = station.drive.state
                 if state is not State.OPERATION_ENABLED:
                     disturbed.setdefault(
-                        station, f"{station.name}: {state.words} after {now - began:.3f} s"
+                        station, f"{station.name}: {state.name} after {now - began:.3f} s"
                     )
             is_over = now - began >= seconds
         way_by_station = dict(zip(self.stations, ways, strict=True))

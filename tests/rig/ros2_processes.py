@@ -180,9 +180,9 @@ def _plant_config(**changes: Any) -> Any:
 
 def sensor(_: Path) -> dict[str, Any]:
     """A force sensor on the child's topic, until the child publishes it twice."""
+    from examples.ros2_sensor.softfin_ros2_sensor import TopicSensorConfig, topic_sensor
+
     from softfin.rig import streamed_sensor
-    from softfin.rig.devices.ros2.config import TopicSensorConfig
-    from softfin.rig.devices.ros2.sensor import topic_sensor
 
     streamed_sensor.FIRST_WAIT_S = HANG_S
     values = {"topic": "/wrench", "rate_hz": 50.0, "filter_delay_s": 0.0, "frame": "x,y"}

@@ -98,7 +98,6 @@ def test_a_good_drive_stops_the_fin_within_the_swing_and_check_says_so(simulated
     assert moving.deaths == 4
     assert [line.split(":")[0] for line in told] == ["SIGKILL", "SIGSTOP"] * 2
     assert 0.0 < moving.way_median_rad <= moving.way_worst_rad <= WAY_RAD
-    assert config.drive.heartbeat_s <= moving.rest_median_s <= moving.rest_worst_s
     assert behind.fin.farthest_rad < SWING_RAD + LEFT_RAD
     assert load_record(config.file).stop_proof == proof
     (line,) = (

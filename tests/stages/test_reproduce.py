@@ -1,3 +1,4 @@
+import errno
 import re
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from softfin.core.configuration import configure
-from softfin.core.errors import ArtifactError
+from softfin.core.errors import ArtifactError, RunError
 from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
 from softfin.data.collect import CollectConfig
@@ -62,6 +63,102 @@ def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes
         claim(out, 1, resume=True)
     claim(out, 1, resume=True, overwrite=True)
     assert not (out / "dataset").exists()
+
+
+def finish(out):
+    """Complete a run."""
+    (out / "dataset").mkdir()
+    (out / reproduce.RESULTS).write_text("{}")
+
+
+def test_a_run_is_replaced_through_a_link(tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "disk" / "run")
+    claim(link)
+    for complete in (True, False):
+        (link / "fit").mkdir()
+        if complete:
+            finish(link)
+        claim(link, overwrite=True)
+        assert [file.name for file in link.iterdir()] == ["reproduction.json"]
+    assert link.is_symlink()
+
+
+def test_a_complete_run_is_kept_until_the_next_one_is_complete(tmp_path, monkeypatch):
+    def run(fail=False):
+        def work(progress):
+            assert not fail
+
+        stage = reproduce.Stage("fit", "a surrogate", out / "fit", work)
+        monkeypatch.setattr(reproduce, "_list_stages", lambda *_: [stage])
+        reproduce.reproduce(out=out, plant="tests.plants:AnalyticFin", overwrite=True)
+
+    out = tmp_path / "run"
+    kept = tmp_path / ".run.before"
+    monkeypatch.setattr("softfin.evaluation.report.write_report", lambda *_: None)
+    claim(out)
+    finish(out)
+    for _ in range(2):
+        with pytest.raises(AssertionError):
+            run(fail=True)
+        assert (kept / "dataset").is_dir()
+    run()
+    assert sorted(place.name for place in tmp_path.iterdir()) == ["run"]
+    assert (out / reproduce.RESULTS).is_file()
+
+
+def test_a_run_that_cannot_be_removed_is_not_taken_for_the_new_one(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    out = tmp_path / "run"
+    claim(out)
+    monkeypatch.setattr("shutil.rmtree", refuse)
+    with pytest.raises(RunError, match=r"run: cannot be replaced \(Permission denied\); .*--out"):
+        claim(out, 1, overwrite=True)
+
+
+def test_only_a_reproduction_that_does_not_contain_the_plant_is_replaced(tmp_path):
+    save_surrogate(
+        tmp_path / "fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
+    )
+    with pytest.raises(ArtifactError, match=r"fin: .*not a softfin reproduction.*--out"):
+        claim(tmp_path / "fin", overwrite=True)
+    out = tmp_path / "run"
+    claim(out)
+    (tmp_path / "fin").rename(out / "fin")
+    (tmp_path / "link").symlink_to(out / "fin")
+    with pytest.raises(ArtifactError, match=r"run: contains .*link.*--out"):
+        reproduce._claim(out, str(tmp_path / "link"), "demo", 0, False, True)
+    assert (out / "fin").is_dir()
+
+
+@pytest.mark.parametrize("changed", ["plant", "configuration.num_seeds", "software"])
+def test_a_run_of_another_plant_preset_or_version_is_not_continued(tmp_path, monkeypatch, changed):
+    out = tmp_path / "run"
+    claim(out)
+    plant = "tests.plants:AnalyticFin"
+    if changed == "plant":
+        plant = "tank"
+    elif changed == "software":
+        monkeypatch.setattr("importlib.metadata.version", lambda name: "99")
+    else:
+        preset = reproduce.PRESETS["demo"]._replace(num_seeds=7)
+        monkeypatch.setattr(reproduce, "PRESETS", {"demo": preset})
+    with pytest.raises(ArtifactError, match=rf"run: belongs to another run .*{changed} was"):
+        reproduce._claim(out, plant, "demo", 0, True, False)
+
+
+@pytest.mark.parametrize("file", ["evaluation/gaits/evaluation.json", reproduce.RESULTS])
+def test_an_empty_result_is_one_line(tmp_path, monkeypatch, file):
+    """As a power cut leaves it."""
+    out = tmp_path / "run"
+    monkeypatch.setattr(reproduce, "_list_stages", lambda *_: [])
+    claim(out)
+    (out / file).parent.mkdir(parents=True, exist_ok=True)
+    (out / file).touch()
+    with pytest.raises(ArtifactError, match=rf"{file}: cannot be read as JSON .*; .*--"):
+        reproduce.reproduce(out=out, plant="tests.plants:AnalyticFin", preset="demo", resume=True)
 
 
 def test_a_stage_whose_result_exists_is_skipped(tmp_path):

@@ -2,6 +2,7 @@ import errno
 import json
 import math
 import os
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -9,6 +10,11 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, RunError
+from softfin.stages import robot
+from softfin.stages.collect import collect
+from softfin.stages.evaluation import evaluate
+from softfin.stages.logs import import_logs, inspect_logs
+from softfin.stages.surrogates import calibrate, fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FOLDERS
 from softfin.storage.run_directory import RunDirectory
@@ -83,6 +89,42 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
     assert (kept / "result").read_text() == "hours of work"
 
 
+def test_what_was_there_is_restored_if_its_replacement_cannot_be_renamed(tmp_path, monkeypatch):
+    def refuse(place, to):
+        if place.suffix == ".partial":
+            raise OSError(errno.EIO, "Input/output error")
+        return rename(place, to)
+
+    rename = Path.rename
+    artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(RunError, match=r"the finished result is in .*partial; rename it"):
+        artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
+    assert artifacts.load_description(tmp_path / "thing", "surrogate") == HEAD | {"version": 1}
+    assert not list(tmp_path.glob("*.before"))
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        partial(collect, plant="none"),
+        partial(fit, "logs"),
+        partial(calibrate, "none"),
+        partial(inspect_logs, "logs"),
+        partial(import_logs, "logs"),
+        partial(evaluate, "controller"),
+        partial(robot.evaluate, "robot.yaml"),
+    ],
+)
+def test_a_stage_replaces_only_folders_of_the_kind_that_it_writes(tmp_path, monkeypatch, stage):
+    monkeypatch.chdir(tmp_path)
+    artifacts.save(tmp_path / "controller", "controller", {}, {})
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "train.csv").touch()
+    with pytest.raises(ArtifactError, match=r"controller: .*so it is not replaced.*--out"):
+        stage(out="controller", overwrite=True)
+
+
 def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
     def note(descriptor):
         place = Path(f"/proc/self/fd/{descriptor}").readlink()
@@ -133,13 +175,11 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 
 def test_nothing_of_the_user_is_replaced(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
+    with pytest.raises(ArtifactError, match="not a softfin folder, so it is not replaced"):
         artifacts.check_vacant(tmp_path, overwrite=True)
     for text in ("{}", "[]", "{", '{"kind": "example"}'):
         (tmp_path / "robot.json").write_text(text)
-        with pytest.raises(
-            ArtifactError, match="was not written by softfin, so it is not replaced"
-        ):
+        with pytest.raises(ArtifactError, match="not a softfin folder, so it is not replaced"):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     with pytest.raises(ArtifactError, match="choose another --out, or use --overwrite"):

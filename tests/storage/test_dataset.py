@@ -125,6 +125,6 @@ def test_a_full_disk_leaves_no_folder_and_names_the_place(tmp_path, monkeypatch)
 def test_a_folder_of_someone_else_is_not_replaced(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("years of work")
-    with pytest.raises(ArtifactError, match=r"was not written by softfin"):
+    with pytest.raises(ArtifactError, match=r"not a softfin folder"):
         write_dataset(tmp_path / "home", [make_log(0)], [], {}, overwrite=True)
     assert (tmp_path / "home" / "thesis.txt").read_text() == "years of work"

@@ -1,5 +1,7 @@
 import sys
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -7,7 +9,7 @@ from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import hold_action
 from softfin.core.quantities import Limits
 from softfin.storage.registry import find_plant, is_live, is_surrogate
-from softfin.surrogate import Surrogate, save_surrogate
+from softfin.surrogate import Surrogate, load_surrogate, save_surrogate
 from softfin.tank import Tank, TankConfig
 from softfin.testing import check_plant
 from tests.plants import AnalyticFin, PlainFin
@@ -62,6 +64,27 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
     assert is_surrogate(f"./{name}")
+
+
+@pytest.mark.parametrize("load", [find_plant, lambda _: load_surrogate(Path("surrogate"))])
+def test_double_precision_is_refused(load):
+    with jax.enable_x64(True), pytest.raises(ConfigurationError, match="jax_enable_x64"):
+        load("tank")
+
+
+@pytest.mark.parametrize("thing", [3, None])
+def test_an_object_that_is_not_a_plant_is_refused(thing):
+    with pytest.raises(PlantError, match=rf"plant: a {type(thing).__name__} is not a plant"):
+        find_plant(thing)
+
+
+def test_a_path_is_a_folder_or_file_and_never_the_name_of_a_plant(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlantError, match="does not exist"):
+        find_plant(Path("tank"))
+    save_surrogate(Path("tank"), small.surrogate(), None, {})
+    assert isinstance(find_plant(Path("tank")), Surrogate)
+    assert isinstance(find_plant(tmp_path / "tank"), Surrogate)
 
 
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):

@@ -94,18 +94,25 @@ def test_a_checkpoint_that_cannot_be_resumed_is_refused_and_can_be_discarded(
     if name == "damaged":
         (saved.folder / CHECKPOINT).write_bytes(b"not a checkpoint")
     if name == "other version":
-        monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
+        monkeypatch.setattr(checkpoint, "software_versions", lambda: "softfin 99.1, jax 99.2")
     with pytest.raises(ArtifactError, match="--overwrite"):
         RunDirectory(tmp_path / "out", fingerprint, resume=True)
     anew = RunDirectory(tmp_path / "out", fingerprint, overwrite=True)
     assert anew.load(STATE) is None
 
 
+def test_a_checkpoint_that_cannot_be_removed_is_not_taken_for_one_of_the_new_run(tmp_path, saved):
+    saved.folder.rename(tmp_path / "disk")
+    saved.folder.symlink_to(tmp_path / "disk")
+    with pytest.raises(RunError, match=r"\.out\.unfinished: cannot be removed "):
+        RunDirectory(tmp_path / "out", {"seed": 0}, overwrite=True)
+
+
 def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
     tmp_path, saved, monkeypatch
 ):
-    now = checkpoint._software()
-    monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
+    now = checkpoint.software_versions()
+    monkeypatch.setattr(checkpoint, "software_versions", lambda: "softfin 99.1, jax 99.2")
     words = (
         rf"written by {re.escape(now)}, but this is softfin 99.1, jax 99.2; resume with "
         r"that version, or use --overwrite"

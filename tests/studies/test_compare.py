@@ -4,6 +4,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+from benchmarks.flops import flops_per_tick
 from studies.compare import compare, comparison_figure, main
 from studies.free_runs import run_from_rest
 
@@ -72,7 +73,7 @@ def test_the_command_writes_what_the_results_read(tmp_path, monkeypatch, capsys)
     written = json.loads((tmp_path / "c" / "comparison.json").read_text())
     (row,) = written["surrogates"]
     assert (row["model"], written["horizons_s"]) == ("streaming", [1, 2.5])
-    assert row["flops_per_tick"] == streaming.surrogate().flops_per_tick()
+    assert row["flops_per_tick"] == flops_per_tick(streaming.surrogate())
     assert {"angle_rmse_rad", "mean_force_p95_n", "coverage_x"} <= row["horizons"][1].keys()
     assert written["noise_floor"]["horizons"][0]["force_x_rmse_n"] > 0
     assert (tmp_path / "c" / "comparison.png").is_file()

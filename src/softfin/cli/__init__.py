@@ -9,7 +9,10 @@ import gc
 import importlib
 import importlib.metadata
 import inspect
+import logging
 import os
+import select
+import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -116,19 +119,35 @@ GROUPS = {
 
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
+MIN_FILE_DESCRIPTOR = 3
+"""Number of the first file that is not a standard stream."""
+
 STOPPED = 1
 """Exit code after Ctrl-C, the same as for a failure at run time."""
 
 FIN_STOPPED = 3
 """Exit code after a safety check or a person stopped the fin."""
 
+PIPE_CLOSED = 128 + signal.SIGPIPE
+"""Exit code if the reader of standard output ends first, as in ``softfin doctor | head -1``; a
+shell reports the same for other programs."""
+
 
 def script() -> None:
     """Run `main` as the installed command. After Ctrl-C or a stop of the fin, exit immediately: a
     compiled program may still be running, and another Ctrl-C would change the exit code."""
+    _replace_closed_streams()
     use_program_cache()
     try:
         main()
+        sys.stdout.flush()
+    except OSError as error:
+        # Commands turn their errors into exit codes, so this one is of standard output. Without
+        # the following line, Python would try to write the rest when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise SystemExit(PIPE_CLOSED) from None
+        _exit(f"softfin: standard output: {error.strerror}", STOPPED)
     except SystemExit as stop:
         is_interrupted = isinstance(stop.__cause__, KeyboardInterrupt)
         if not is_interrupted and stop.code != FIN_STOPPED:
@@ -136,6 +155,25 @@ def script() -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(STOPPED if is_interrupted else FIN_STOPPED)
+
+
+def _replace_closed_streams() -> None:
+    """Open the null device in place of standard streams that the shell closed, as ``>&-`` does.
+
+    Otherwise the next file that a command opens would receive what it prints.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) < MIN_FILE_DESCRIPTOR:
+        pass
+    os.close(descriptor)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8")
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8")
+
+
+def _is_reader_gone() -> bool:
+    """Whether the program that read standard output through a pipe has ended."""
+    poll = select.poll()
+    poll.register(sys.stdout, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -177,7 +215,7 @@ def _run(name: str, words: list[str]) -> None:
     with contextlib.ExitStack() as until_exit:
         try:
             function = import_function(name)
-            if "resume" in inspect.signature(function).parameters:
+            if "resume" in inspect.signature(function).parameters and _can_resume(name, words):
                 hint = "; run it again with --resume to continue"
             _call(name, function, words, until_exit)
         except KeyboardInterrupt as interrupt:
@@ -186,10 +224,17 @@ def _run(name: str, words: list[str]) -> None:
             sys.stderr.write(f"softfin {name}: stopped; no incomplete files were left{hint}\n")
             raise SystemExit(STOPPED) from interrupt
         except Exception as error:
-            if is_debugged:
+            if is_debugged or (isinstance(error, BrokenPipeError) and _is_reader_gone()):
                 raise
             message, code = _describe_error(error)
             _exit(f"softfin {name}: {message}", code)
+
+
+def _can_resume(name: str, words: Sequence[str]) -> bool:
+    """Whether a stopped command can be continued: simulated motions are recorded again."""
+    from softfin.storage.registry import is_live
+
+    return name != "collect" or any(is_live(word.removeprefix("--plant=")) for word in words)
 
 
 def _call(
@@ -207,7 +252,7 @@ def _call(
         sys.stdout.write(application.format_help(function, f"softfin {name}") + "\n")
         return
     typed = [word for word in words if word not in ("--json", "--debug")]
-    call = application.parse(function, typed)
+    call = application.parse(function, typed, f"softfin {name}")
     if call.keywords.get("arm"):
         # Imported here, because most commands do not need the rig.
         from softfin.rig.stop import undisturbed_after_stop
@@ -232,6 +277,8 @@ def _configure_process() -> None:
     # JAX creates millions of small objects while it traces; collecting garbage at the default rate
     # takes a sixth of that time.
     gc.set_threshold(50_000, 20, 10)
+    # Matplotlib warns if it cannot write to the user's home folder.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 def _describe_error(error: Exception) -> tuple[str, int]:

@@ -9,21 +9,31 @@ import inspect
 import io
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import (
+    App,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnusedCliTokensError,
+)
 from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 from pydantic import ValidationError
 from rich import box
 from rich.console import Console
 
-from softfin.core.configuration import Changes, option_name, read_yaml
+from softfin.core.configuration import Changes, option_name, read_yaml, suggest_option
 from softfin.core.errors import ConfigurationError
 
 CONFIG = "config"
 """Name of the parameter that any field of a configuration changes."""
+
+FLAG_SIMILARITY = 0.8
+"""Minimum similarity of a misspelt flag to the flag, from 0 to 1. The fields of softfin's
+configurations differ more from the flags of their commands."""
 
 EPILOGUE = (
     "--json prints the result as JSON, --debug shows the traceback of an error, -h or --help this "
@@ -61,10 +71,11 @@ def _show_default(default: object) -> str | None:
     return " ".join(map(str, values))
 
 
-def list_options(function: Callable[..., object]) -> tuple[str, ...]:
-    """Return the names of a function's options and positional arguments."""
+def list_options(function: Callable[..., object], flags: bool = False) -> tuple[str, ...]:
+    """Return the names of a function's options and positional arguments, or only of its flags."""
     arguments = make_app(function).assemble_argument_collection()
-    return tuple(name for argument in arguments if argument.show for name in argument.names)
+    shown = [each for each in arguments if each.show and (each.hint is bool or not flags)]
+    return tuple(name for argument in shown for name in argument.names)
 
 
 def format_help(function: Callable[..., object], program: str, width: int | None = None) -> str:
@@ -75,17 +86,28 @@ def format_help(function: Callable[..., object], program: str, width: int | None
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
-def parse(function: Callable[..., object], words: Sequence[str]) -> "partial[object]":
+def parse(
+    function: Callable[..., object], words: Sequence[str], program: str = "softfin"
+) -> "partial[object]":
     """Return a call of the function with the arguments that were typed; raises ConfigurationError
     with a one-line message."""
     options = list_options(function)
+    flags = list_options(function, flags=True)
     changes: dict[str, str] = {}
+    rest = list(words)
     if CONFIG in inspect.signature(function).parameters:
-        words, changes = _split(words, options)
+        rest, changes = _split(words, options, flags)
     try:
         _, bound, _ = make_app(function).parse_args(
-            _join_negative(words), exit_on_error=False, print_error=False
+            _join_negative(rest, flags), exit_on_error=False, print_error=False
         )
+    except MissingArgumentError as error:
+        usage = (
+            format_help(function, program, width=1000).partition("\n")[0].replace("Usage", "usage")
+        )
+        raise ConfigurationError(_explain_missing(error, usage, options, changes)) from None
+    except UnusedCliTokensError as error:
+        raise ConfigurationError(_explain_unused(error, words, changes)) from None
     except CycloptsError as error:
         raise ConfigurationError(_explain(error)) from None
     given = dict(bound.kwargs)
@@ -99,18 +121,22 @@ def parse(function: Callable[..., object], words: Sequence[str]) -> "partial[obj
     return partial(function, *bound.args, **given)
 
 
-def _join_negative(words: Sequence[str]) -> list[str]:
-    """Join an option with a value such as -1,2, which is not an option."""
+def _join_negative(words: Sequence[str], flags: Sequence[str]) -> list[str]:
+    """Join an option with a value such as -1,2 or -x,y, which is not an option."""
     joined: list[str] = []
     for word in words:
-        if re.match(r"-[\d.]", word) and joined and joined[-1].startswith("--"):
+        before = joined[-1] if joined else ""
+        takes_value = before.startswith("--") and "=" not in before and before not in flags
+        if takes_value and re.match("-[^-]", word):
             joined[-1] += f"={word}"
         else:
             joined.append(word)
     return joined
 
 
-def _split(words: Sequence[str], options: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+def _split(
+    words: Sequence[str], options: Sequence[str], flags: Sequence[str]
+) -> tuple[list[str], dict[str, str]]:
     """Return the words without the fields of the configuration, and the texts of these fields."""
     rest: list[str] = []
     changes: dict[str, str] = {}
@@ -123,20 +149,60 @@ def _split(words: Sequence[str], options: Sequence[str]) -> tuple[list[str], dic
             rest.append(word)
         elif sign:
             changes[option] = text
-        elif left and not left[0].startswith("--"):
+        elif (
+            left
+            and not left[0].startswith("--")
+            # A misspelt flag has no value: the next word is an argument.
+            and not difflib.get_close_matches(option, flags, n=1, cutoff=FLAG_SIMILARITY)
+        ):
             changes[option] = left.pop(0)
         else:
-            close = difflib.get_close_matches(option, options, n=1)
-            nearest = f"; did you mean {close[0]}?" if close else ""
-            raise ConfigurationError(f"{option}: unknown option, or missing value{nearest}")
+            raise ConfigurationError(
+                f"{option}: unknown option, or missing value; {suggest_option(option, options)}"
+            )
     return rest, changes
+
+
+def _explain_missing(
+    error: MissingArgumentError, usage: str, options: Sequence[str], changes: Mapping[str, str]
+) -> str:
+    """Return one line that names a missing argument, option or value."""
+    argument = error.argument
+    if argument is None:
+        return _explain(error)
+    if error.keyword is not None:
+        metavar = argument.parameter.metavar or "VALUE"
+        return f"{error.keyword}: missing value; use {error.keyword} {metavar}"
+    unknown = [word for word in error.unused_tokens or [] if word.startswith("--")]
+    if unknown:
+        return f"{unknown[0]}: unknown option; {suggest_option(unknown[0], options)}"
+    name = argument.name
+    if argument.field_info.kind is not inspect.Parameter.KEYWORD_ONLY:
+        name = name.removeprefix("--").upper()
+    # What is missing may have become the value of a misspelt option.
+    values = "".join(f"; {text} is the value of {option}" for option, text in changes.items())
+    return f"{name}: missing{values}; {usage}"
+
+
+def _explain_unused(
+    error: UnusedCliTokensError, words: Sequence[str], changes: Mapping[str, str]
+) -> str:
+    """Return one line that names the first superfluous word."""
+    token = str(error.unused_tokens[0])  # type: ignore[index]
+    place = words.index(token)
+    option = words[place - 2] if place > 1 else ""
+    if option not in changes:
+        return f"{token}: unexpected argument; --help lists the arguments and options"
+    values = f"[{words[place - 1]}, {token}]"
+    return f'{token}: unexpected argument; for several values, use {option} "{values}"'
 
 
 def _explain(error: CycloptsError) -> str:
     """Return one line that describes an error."""
     if isinstance(error.__cause__, ValidationError):
         first = error.__cause__.errors()[0]
-        field = option_name(".".join(map(str, first["loc"])))
+        # Within a field, the place is not a part of the option.
+        field = option_name(str(first["loc"][0]))
         return f"--{field} {first['input']}: {first['msg'].removeprefix('Value error, ')}"
     error.verbose = False
     return " ".join(str(error).split())

@@ -13,11 +13,11 @@ import importlib.metadata
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from softfin.control.controller import LoadedController, Measured
+from softfin.control.controller import MAX_MEASUREMENT, LoadedController, Measured
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
@@ -41,6 +41,7 @@ FORCE_FRAME = (
 )
 
 COMMAND_OUTPUTS = ("command_angle", "command_velocity")
+LAST_COMMAND = "last_command"
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
@@ -120,7 +121,7 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     """
     check_file(file, overwrite, "--onnx")
     _check_extra()
-    initial = _named_state(controller.step.init())
+    initial = _initial_state(controller)
     model = _build_graph(controller, initial)
     _describe(model, controller, initial)
     data: bytes = model.SerializeToString()
@@ -150,8 +151,11 @@ def _check_extra() -> None:
         ) from None
 
 
-def _named_state(state: Any) -> dict[str, np.ndarray]:
-    return {name: np.asarray(value) for name, value in state._asdict().items()}
+def _initial_state(controller: LoadedController) -> dict[str, np.ndarray]:
+    """Return the initial values of the file's state: that of the step, and the last command."""
+    state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
+    at_rest = np.array((controller.limits.rest_angle, controller.limits.velocity_min), np.float32)
+    return state | {LAST_COMMAND: at_rest}
 
 
 def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
@@ -169,14 +173,23 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
         for name, value in initial.items()
     }
     now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
-    before = type(controller.step.init())(**state)
+    # Without this, the memory of a policy would keep a NaN forever.
+    is_usable = ndonnx.all(ndonnx.abs(now) <= MAX_MEASUREMENT)
+    last_command = state[LAST_COMMAND]
+    before = type(controller.step.init())(
+        **{name: value for name, value in state.items() if name != LAST_COMMAND}
+    )
     after, action = controller.step.act(OnnxOperations(), before, now)
     outputs = {}
     command: Any = action_to_command(limits, action)
-    for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
-        outputs[name] = ndonnx.clip(cast(Any, value), *map(float, _round_inwards(low, high)))
+    for index, name in enumerate(COMMAND_OUTPUTS):
+        low, high = _round_inwards(*ranges[index])
+        value = ndonnx.clip(command[index], float(low), float(high))
+        outputs[name] = ndonnx.where(is_usable, value, last_command[index])
     for name, value in after._asdict().items():
-        outputs[f"{NEXT}{name}"] = ndonnx.reshape(value, initial[name].shape)
+        value = ndonnx.reshape(value, initial[name].shape)
+        outputs[f"{NEXT}{name}"] = ndonnx.where(is_usable, value, state[name])
+    outputs[f"{NEXT}{LAST_COMMAND}"] = ndonnx.stack([outputs[name] for name in COMMAND_OUTPUTS])
     return ndonnx.build(measured | state, outputs)
 
 
@@ -233,6 +246,8 @@ def _metadata(controller: LoadedController) -> JsonObject:
             "not used yet",
             "reference": "(x, y), mean force to hold [N]",
         },
+        "unusable_inputs": "while the angle or the reference is NaN, infinite or beyond "
+        f"{MAX_MEASUREMENT:g}, the last command is repeated and the state does not change",
         "outputs": {
             "command_angle": "[rad]",
             "command_velocity": "velocity limit of the motion to it [rad/s]",
@@ -254,7 +269,7 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     native = controller.step.init()
-    state = _named_state(native)
+    state = _initial_state(controller)
     box = bounding_box(controller.cells)
     low = np.asarray(box.low)
     high = np.asarray(box.high)

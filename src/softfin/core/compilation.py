@@ -2,8 +2,8 @@
 calls of compiled programs in threads."""
 
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, Literal, TypeVar, cast
 
@@ -13,6 +13,7 @@ import jax
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+State = TypeVar("State")
 
 OPTIMISATION_LEVELS = {"low": 1, "none": 0}
 """XLA's optimisation levels."""
@@ -48,3 +49,29 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return list(threads.map(function, items))
+
+
+def chain_in_threads(
+    function: Callable[[State, Item], State], starts: Sequence[State], items: Sequence[Item]
+) -> Iterator[list[State]]:
+    """Yield the states of all chains after each item; `function` returns a chain's next state.
+
+    Chains run in one thread per core. A chain starts its next item while others are still at the
+    one before, so all cores are busy even if the number of chains is not a multiple of theirs.
+    """
+
+    def step(before: Future[State], item: Item) -> State:
+        # Threads take steps in order, so the step before has started already.
+        return function(before.result(), item)
+
+    threads = ThreadPoolExecutor(os.cpu_count())
+    try:
+        latest = [threads.submit(lambda state: state, start) for start in starts]
+        rows = []
+        for item in items:
+            latest = [threads.submit(step, before, item) for before in latest]
+            rows.append(latest)
+        for row in rows:
+            yield [future.result() for future in row]
+    finally:
+        threads.shutdown(cancel_futures=True)

@@ -67,8 +67,7 @@ class Changes(NamedTuple):
             if path[0] not in type(base).model_fields:
                 names = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
                 written = f"--{path[0].replace('_', '-')}"
-                close = difflib.get_close_matches(written, [*self.options, *names], n=1)
-                nearest = f"did you mean {close[0]}?" if close else "--help lists the options"
+                nearest = suggest_option(written, [*self.options, *names])
                 raise ConfigurationError(f"{option}: unknown option; {nearest}")
             try:
                 value = parse_yaml(text)
@@ -81,6 +80,13 @@ class Changes(NamedTuple):
                 value = {name: value}
             values = _merge(values, value)
         return config.merged(values, "options")
+
+
+def suggest_option(option: str, options: Sequence[str]) -> str:
+    """Return the end of a message about an unknown option."""
+    names = [name.removeprefix("--") for name in options]
+    close = difflib.get_close_matches(option.removeprefix("--"), names, n=1)
+    return f"did you mean --{close[0]}?" if close else "--help lists the options"
 
 
 Settings: TypeAlias = Configuration | Changes | Mapping[str, Any] | Path | str | None
@@ -148,6 +154,10 @@ def parse_yaml(text: str) -> Any:
     """Parse a YAML value; raises ValueError with a one-line message if the text cannot be used."""
     try:
         return yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise ValueError(f"{error.problem}{place}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
 
@@ -186,7 +196,10 @@ def _explain(
         # This error is about an entire model: the validator's message describes the problem, and
         # the input is the entire mapping, so it is not shown.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
-    return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
+    problem = first["msg"]
+    if first["type"] == "tuple_type":
+        problem = "must be a list such as [0.5, 1.57]"
+    return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {problem}"
 
 
 def _field_class(field: pydantic.fields.FieldInfo, values: Any) -> Any:

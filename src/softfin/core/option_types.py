@@ -4,6 +4,7 @@ A parameter is ``Annotated[type, DIR]``, for example; a bool is a flag, a Litera
 tuple is a repeatable option.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from softfin.core.configuration import Settings
     from softfin.core.plant import Plant
 
-    PlantLike: TypeAlias = str | Plant
+    PlantLike: TypeAlias = str | Path | Plant
 else:
     # A plant needs JAX, which a command's help must not wait for; what is typed is text.
     PlantLike = Any
@@ -42,6 +43,8 @@ def _parse_forces(hint: object, tokens: Sequence[Token]) -> Force | tuple[Force,
     for token in tokens:
         try:
             x, y = map(float, token.value.split(","))
+            if not math.isfinite(x) or not math.isfinite(y):
+                raise ValueError
         except ValueError:
             raise ConfigurationError(
                 f"{token.keyword} {token.value}: not a force; use X,Y in newtons, e.g. 1,-1"

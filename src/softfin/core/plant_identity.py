@@ -7,7 +7,9 @@ or that depends on more than its fields, states its identity as an attribute.
 """
 
 import dataclasses
+import functools
 import hashlib
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 
 import jax
@@ -62,26 +64,41 @@ def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
         yield array.tobytes()
         return
     yield f"{place}: {type(value).__qualname__} ".encode()
-    function = getattr(value, "__qualname__", "<")
+    name = _find_name(value)
     if isinstance(value, PLAIN):
         yield repr(value).encode()
-    elif callable(value) and "<" not in function:
-        # A function of a module or a class; a closure depends on more than its name.
-        yield f"{value.__module__}.{function}".encode()
+    elif name is not None:
+        yield f"{value.__module__}.{name}".encode()
     else:
-        for name, member in _members(value, place, plant):
-            yield from _parts(member, f"{place}.{name}", plant)
+        for part, member in _members(value, place, plant):
+            yield from _parts(member, f"{place}.{part}", plant)
+
+
+def _find_name(value: object) -> str | None:
+    """Return the name under which its module contains a function or a class; None for anything
+    else. A closure, a bound method and a partial function depend on more than their names."""
+    found: object = sys.modules.get(getattr(value, "__module__", None) or "")
+    name: str = getattr(value, "__qualname__", "")
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return name if found is value else None
 
 
 def _members(value: object, place: str, plant: str) -> Iterable[tuple[object, object]]:
-    """Return the names and values of the members of a container or dataclass."""
+    """Return the names and values of the members of a container, dataclass or bound method."""
     if isinstance(value, Mapping):
         return sorted(value.items())
     if isinstance(value, BaseModel):
         return iter(value)
     if isinstance(value, tuple | list):
         return enumerate(value)
-    if dataclasses.is_dataclass(value):
+    if hasattr(value, "__self__"):
+        # A method of a built-in type has no function.
+        function = getattr(value, "__func__", getattr(value, "__name__", None))
+        return [("function", function), ("owner", value.__self__)]
+    if isinstance(value, functools.partial):
+        return [("function", value.func), ("arguments", value.args), ("options", value.keywords)]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
         computed = getattr(value, "computed", ())
         names = [field.name for field in dataclasses.fields(value)]
         return [(name, getattr(value, name)) for name in names if name not in computed]

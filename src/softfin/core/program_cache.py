@@ -54,6 +54,11 @@ def use_program_cache() -> None:
     folder = cache_folder()
     if folder is None:
         return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        # JAX would warn about every program.
+        return
     os.environ[JAX_VARIABLE] = str(folder)
     for name, value in JAX_SETTINGS.items():
         os.environ.setdefault(name, value)

@@ -7,8 +7,7 @@ flagged.
 import contextlib
 import itertools
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from xml.sax.saxutils import escape
@@ -19,6 +18,7 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.json_object import JsonObject
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.fin import EmulatedFin
+from softfin.emulation.stream import EmulatedSensor
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.devices.axia80.pages import CALIBRATION, SETTINGS
 from softfin.rig.devices.axia80.rdt import (
@@ -29,7 +29,6 @@ from softfin.rig.devices.axia80.rdt import (
     decode_request,
     encode_record,
 )
-from softfin.rig.machine import rotated, rotation
 
 COUNTS = 1e6
 """Counts per unit of force [N] and torque [N m]."""
@@ -52,9 +51,8 @@ WAKE_S = 0.002
 """Longest interval between sends [s]; all records due by then are sent."""
 
 
-class EmulatedAxia80:
-    """Emulated sensor, running in daemon threads from construction until `close`; faults may be set
-    from any thread."""
+class EmulatedAxia80(EmulatedSensor[bytes]):
+    """Emulated sensor that sends its records, as datagrams, to the latest client."""
 
     def __init__(
         self,
@@ -65,33 +63,15 @@ class EmulatedAxia80:
         frame: str = "x,y",
         clock: Computer = COMPUTER,
     ) -> None:
-        self.rate_hz = rate_hz
         self.pages = sensor_pages()
         """Web pages, by path; may be changed at any time."""
         self.status = 0
         """Status of every record; tests may set its bits."""
-        self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
-        """Function that maps a sent datagram to those that arrive; tests may lose, duplicate or
-        delay datagrams."""
         self.busy_s = BUSY_AT_START_S
-        """Time for which the sensor is busy after power-up [s]; tests may set this and the
-        following attributes."""
-        self.are_values_frozen = False
-        """Whether all six channels are frozen while records continue."""
-        self.filter_delay_s = 0.0
-        """Delay of the sensor's internal low-pass filter [s], which is not visible in its
-        records."""
-        self._fin = fin
-        self._clock = clock
-        # The inverse of the client's rotation: from softfin's axes to the sensor's.
-        self._rotation = rotation(frame).T
+        """Time for which the sensor is busy after power-up [s]; tests may set it."""
         self._powered_at = clock()
         self._counts = (0, 0, 0, 0, 0, 0)
-        self._silent_until = 0.0
-        self._history: deque[tuple[float, np.ndarray]] = deque()
-        """Loads and their times; the first is the latest to have passed the internal filter."""
         self._lock = threading.Lock()
-        self._closing = clock.event()
         self._stream: _Stream | None = None
         self._ports = contextlib.ExitStack()
         wake_s = max(WAKE_S, 1 / rate_hz)
@@ -109,15 +89,11 @@ class EmulatedAxia80:
             self._ports.callback(server.server_close)
             self._ports.callback(server.shutdown)
         self._ports.callback(self._socket.close)
-        self._thread = clock.spawn(self._serve, "emulated sensor's stream")
+        super().__init__(fin, rate_hz, clock, frame)
 
     def address(self) -> JsonObject:
         """Return its address and ports, as in a rig's file."""
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
-
-    def silence(self, seconds: float = float("inf")) -> None:
-        """Neither receive nor send for a time [s]; 0 ends the silence."""
-        self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
         """Switch off and on: silent for a time [s], then without client, and with a new sample
@@ -127,13 +103,11 @@ class EmulatedAxia80:
             self._powered_at = self._clock() + seconds
             self.silence(seconds)
 
-    def close(self) -> None:
-        """Stop the sensor; may be called repeatedly."""
-        self._closing.set()
-        self._thread.join()
+    def unplug(self) -> None:
+        """Close the sockets; may be called repeatedly."""
         self._ports.close()
 
-    def _serve(self) -> None:
+    def _run(self) -> None:
         while not self._closing.is_set():
             # A timeout, or an ICMP error for a client that is gone.
             with contextlib.suppress(OSError):
@@ -160,7 +134,7 @@ class EmulatedAxia80:
         due = int((now - stream.began) * self.rate_hz) - stream.sent
         if due <= 0:
             return []
-        load = self._felt(now)
+        load = self.measure()
         clipped = np.rint(COUNTS * np.clip(load, -LIMITS, LIMITS)).astype(int)
         status = self.status
         if (np.abs(load) > LIMITS).any():
@@ -181,13 +155,6 @@ class EmulatedAxia80:
     def _samples(self, time: float) -> int:
         """Return the sample counter, which is 0 at power-up."""
         return max(0, int((time - self._powered_at) * ADC_RATE_HZ))
-
-    def _felt(self, now: float) -> np.ndarray:
-        """Return the filtered load in the sensor's axes [N, N m]."""
-        self._history.append((now, np.array(rotated(self._fin.now().wrench, self._rotation))))
-        while len(self._history) > 1 and self._history[1][0] <= now - self.filter_delay_s:
-            self._history.popleft()
-        return self._history[0][1]
 
 
 @dataclass

@@ -4,12 +4,9 @@ import can
 
 from softfin.core.errors import DeviceError
 from softfin.emulation.network import SimulatedBus, SimulatedSerialPort, SimulatedSocket
-from softfin.emulation.ros2 import SimulatedTransport
 from softfin.emulation.time import SimulatedTime
 from softfin.rig.bus import BusConfig
 from softfin.rig.computer import Computer, SerialPort, UdpSocket
-from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import Transport
 
 
 class SimulatedClock(SimulatedTime, Computer):
@@ -21,15 +18,9 @@ class SimulatedClock(SimulatedTime, Computer):
         return SimulatedBus(self, config.channel)
 
     def open_serial_port(
-        self,
-        port: str,
-        baud: int,
-        *,
-        timeout_s: float,
-        write_timeout_s: float | None = None,
-        exclusive: bool = True,
+        self, port: str, baud: int, *, timeout_s: float, **options: object
     ) -> SerialPort:
-        """Return an end of the serial line with a name."""
+        """Return an end of the serial line with a name; `options` have no effect."""
         return SimulatedSerialPort(self, port, timeout_s)
 
     def udp_socket(self) -> UdpSocket:
@@ -46,7 +37,3 @@ class SimulatedClock(SimulatedTime, Computer):
                 "check its power, cable, address and http_port"
             )
         return pages.get(path)
-
-    def open_topics(self, config: TransportConfig) -> Transport:
-        """Connect to topics within this process."""
-        return SimulatedTransport(self)

@@ -10,19 +10,14 @@ from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
-from softfin.emulation.lines import EmulatedLines
-from softfin.emulation.topic import EmulatedTopic
+from softfin.emulation.lines import EMULATED_UDP_PORT, EmulatedLines
 from softfin.rig.computer import Computer
 from softfin.rig.device import DriveConfig, ForceSensorConfig
 from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
-from softfin.rig.devices.ros2.config import TopicSensorConfig
 from softfin.tank import Tank
-
-EMULATED_RATE_HZ = 320.0
-"""Rate of the emulated `lines` and `ros2` sensors [Hz]."""
 
 
 class Emulator(NamedTuple):
@@ -51,12 +46,6 @@ def _start_lines(config: LinesConfig, fin: EmulatedFin, clock: Computer) -> Emul
     return EmulatedLines(fin, config.rate_hz, clock, udp_port=udp_port)
 
 
-def _start_topic(config: TopicSensorConfig, fin: EmulatedFin, clock: Computer) -> EmulatedTopic:
-    # In real time, several emulated rigs may share this computer.
-    topic = config.topic if clock.is_simulated else None
-    return EmulatedTopic(fin, config.rate_hz, clock, topic=topic)
-
-
 DRIVES = {
     "epos2": Emulator(
         {
@@ -80,16 +69,12 @@ SENSORS = {
     "lines": Emulator(
         {
             "columns": ["count", "force_x", "force_y"],
-            "rate_hz": EMULATED_RATE_HZ,
+            "rate_hz": 320.0,
             "filter_delay_s": 0.0,
             "address": LOOPBACK,
-            "udp_port": 47_470,
+            "udp_port": EMULATED_UDP_PORT,
         },
         _start_lines,
-    ),
-    "ros2": Emulator(
-        {"topic": "/emulated/wrench", "rate_hz": EMULATED_RATE_HZ, "filter_delay_s": 0.0},
-        _start_topic,
     ),
 }
 """Emulated force sensors, by type."""

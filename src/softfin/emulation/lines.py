@@ -10,26 +10,23 @@ from softfin.emulation.stream import EmulatedStream, Pty
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.machine import Wrench
 
+EMULATED_UDP_PORT = 47_470
+
 
 class EmulatedLines(EmulatedStream[bytes]):
-    """Emulated sensor that sends to `udp_port`, to a free port if it is 0, and over a
-    pseudo-terminal if it is None."""
+    """Emulated sensor that sends to `udp_port`, or over a pseudo-terminal if it is None."""
 
     def __init__(
         self,
         fin: EmulatedFin,
         rate_hz: float,
         clock: Computer = COMPUTER,
-        udp_port: int | None = 0,
+        udp_port: int | None = EMULATED_UDP_PORT,
     ) -> None:
         self.count = 0
         """Latest counter; 0 after a restart of the sensor."""
         self._pty = None if udp_port is not None else Pty()
-        self.socket = clock.udp_socket()
-        # Bound for a moment to find a free port.
-        self.socket.bind((LOOPBACK, udp_port or 0))
-        self._udp_port = int(self.socket.getsockname()[1])
-        self.socket.close()
+        self._udp_port = udp_port or 0
         self.socket = clock.udp_socket()
         super().__init__(fin, rate_hz, clock)
 

@@ -24,36 +24,37 @@ LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
 forces."""
 
 
-class EmulatedStream(ABC, Generic[Record]):
+class EmulatedSensor(ABC, Generic[Record]):
     """Emulated sensor, running from construction until `close`; faults may be set from any
     thread."""
 
-    def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock) -> None:
+    def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock, frame: str) -> None:
+        """`frame` contains the sensor's axes along softfin's."""
         self.transmit: Callable[[Record], Iterable[Record]] = lambda record: (record,)
         """Function that maps a record to those that arrive; tests may cut, double, lose, delay or
         change records."""
         self.rate_hz = rate_hz
         self.are_values_frozen = False
+        """Whether all six channels are frozen while records continue."""
         self._fin = fin
         self._clock = clock
-        self._rotation = rotation(SENSOR_MOUNTING).T
-        self._wrench: Wrench = (0.0,) * 6
+        # The inverse of the host's rotation: from softfin's axes to the sensor's.
+        self._rotation = rotation(frame).T
         self._silent_until = 0.0
         self._closing = clock.event()
         self._thread = clock.spawn(self._run, "emulated sensor")
 
     @abstractmethod
-    def encode(self, age_s: float, wrench: Wrench) -> Record:
-        """Return a record with a wrench in the sensor's axes [N, N m]; `age_s` is the time from the
-        start of the sensor to the record [s]."""
-
-    @abstractmethod
-    def send(self, record: Record) -> None:
-        """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
+    def _run(self) -> None:
+        """Run until `_closing` is set."""
 
     @abstractmethod
     def unplug(self) -> None:
         """Remove the connection; may be called repeatedly."""
+
+    def measure(self) -> Wrench:
+        """Return the present wrench in the sensor's axes [N, N m]."""
+        return rotated(self._fin.now().wrench, self._rotation)
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Send nothing for a time [s]; 0 ends the silence."""
@@ -65,11 +66,28 @@ class EmulatedStream(ABC, Generic[Record]):
         self._thread.join()
         self.unplug()
 
+
+class EmulatedStream(EmulatedSensor[Record]):
+    """Emulated sensor that sends from the start, whether or not anybody listens."""
+
+    def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock) -> None:
+        self._wrench: Wrench = (0.0,) * 6
+        super().__init__(fin, rate_hz, clock, SENSOR_MOUNTING)
+
+    @abstractmethod
+    def encode(self, age_s: float, wrench: Wrench) -> Record:
+        """Return a record with a wrench in the sensor's axes [N, N m]; `age_s` is the time from the
+        start of the sensor to the record [s]."""
+
+    @abstractmethod
+    def send(self, record: Record) -> None:
+        """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
+
     def _run(self) -> None:
         for number in _iterate_due(self._clock, self._closing, lambda: self.rate_hz):
             if not self.are_values_frozen:
                 noise = LOAD_NOISE[number % len(LOAD_NOISE)]
-                load = rotated(self._fin.now().wrench, self._rotation) + noise
+                load = self.measure() + noise
                 self._wrench = tuple(load.tolist())
             record = self.encode((number + 1) / self.rate_hz, self._wrench)
             if self._clock() < self._silent_until:

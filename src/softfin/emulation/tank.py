@@ -5,12 +5,11 @@ Motion and force are interpolated between samples of 10 ms, so all readings are 
 
 import math
 import threading
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Float, PyTree
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
@@ -31,8 +30,7 @@ class TankFin:
         self._state: PyTree = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Two steps, so that everything is compiled before the first reading.
-        self._before = self._after = self._step()
-        self._before = self._after
+        self._before = self._step()
         self._after = self._step()
         self._time = clock()
         self._latest: tuple[float, FinMotion] | None = None
@@ -72,24 +70,24 @@ class TankFin:
 
     def halt(self) -> None:
         """Brake along the steepest ramp: move to the angle at which the fin can stop."""
-        with self._lock:
-            self._catch_up()
-            angle = self._after[0]
-            velocity = self._after[1]
-            self.move(
-                # Braking distance: v^2 / (2 a).
-                angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
-                math.inf,
-            )
+        self._come_to_rest(float(self.tank.drive.acceleration), math.inf)
 
     def coast(self) -> None:
         """Move as far as the fin would coast. The tank's drive has a single ramp, so the fin keeps
         its velocity until shortly before the end."""
+        self._come_to_rest(COAST_RAD_S2)
+
+    def _come_to_rest(self, deceleration: float, profile_velocity: float | None = None) -> None:
+        """Move to where the fin stops with a deceleration [rad/s2], by default at its present
+        velocity."""
         with self._lock:
             self._catch_up()
             angle = self._after[0]
             velocity = self._after[1]
-            self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
+            if profile_velocity is None:
+                profile_velocity = abs(velocity)
+            # Braking distance: v^2 / (2 a).
+            self.move(angle + velocity * abs(velocity) / (2 * deceleration), profile_velocity)
 
     def now(self) -> FinMotion:
         """Return the motion and force one sample ago."""
@@ -109,7 +107,7 @@ class TankFin:
                 )
             return self._latest[1]
 
-    def _plain(self) -> tuple[Any, Command]:
+    def _plain(self) -> tuple[PyTree, Command]:
         """Return state and command, with the random key as plain numbers."""
         return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
 
@@ -126,7 +124,7 @@ class TankFin:
 
 
 @jax.jit
-def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[Any, Any]:
+def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 6"]]:
     """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
     (x, y) as one array."""
     state, reading = tank.advance(state, command, 1)

@@ -194,7 +194,7 @@ class _Condition(threading.Condition):
                 # 0 means that the lock is free; identifiers of threads are never 0.
                 if self._owner in (0, me):
                     self._owner = me
-                    self._count = self._count + 1
+                    self._count += 1
                     return True
             if not blocking or not self._clock.wait_for(
                 lambda: self._owner == 0, None if timeout < 0 else timeout

@@ -36,7 +36,7 @@ from softfin.evaluation.experiment import (
     run_together,
 )
 from softfin.evaluation.moving_references import MovingScores, plan_moving
-from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
+from softfin.evaluation.range_errors import MAX_RANDOM, random_errors, summarize
 from softfin.evaluation.results import EvaluationSummary, RangeErrors, ReferenceScores
 from softfin.evaluation.scores import (
     STILL_RAD_S,
@@ -81,9 +81,6 @@ class EvaluateConfig(Configuration):
     trim: DisturbanceObserverConfig | None = None
     """Force feedback, which subtracts the controller's estimated steady-state error; None for no
     feedback."""
-    error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
-    """Number of references along each side of the error map, a lattice over the controller's range;
-    None for no map."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces that the controller was trained
     for; None to draw none."""
@@ -111,8 +108,6 @@ class Evaluation:
     """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
     """Experiments with moving references, grouped by length."""
-    error_map: ErrorMap | None = None
-    """Errors over the controller's range."""
     random: RangeErrors | None = None
     """Errors over random references."""
     reachable: Reachable | None = None
@@ -146,8 +141,6 @@ class Evaluation:
         }
         if self.moving:
             summary["moving"] = [row for moving in self.moving for row in moving.rows()]
-        if self.error_map is not None:
-            summary["error_map"] = self.error_map.to_dict()
         if self.random is not None:
             summary["random"] = self.random
         return summary
@@ -178,9 +171,7 @@ def score_controller(
     too short for the controller's clock.
     """
     reachable = reachable_set(controller)
-    if not config.references:
-        defaults = default_references(reachable, controller_cells(controller))
-        config = config.model_copy(update={"references": defaults})
+    config = _with_references(config, controller)
     references = []
     warnings = []
     for reference in config.references:
@@ -206,9 +197,7 @@ def score_controller(
     evaluation = score_experiments(constant, plant, config)
     for plan in plans:
         warnings += plan.warnings
-    error_map = random = None
-    if config.error_map is not None:
-        error_map = map_errors(controller, plant, config.error_map, seconds, keys[0])
+    random = None
     if config.random is not None:
         random = random_errors(controller, plant, config.random, config.seed, seconds, keys[0])
     return dataclasses.replace(
@@ -216,9 +205,16 @@ def score_controller(
         reachable=reachable,
         warnings=tuple(warnings),
         moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
-        error_map=error_map,
         random=random,
     )
+
+
+def _with_references(config: EvaluateConfig, controller: Controller) -> EvaluateConfig:
+    """Return the configuration with the default references of a controller if it has none."""
+    if config.references:
+        return config
+    defaults = default_references(reachable_set(controller), controller_cells(controller))
+    return config.model_copy(update={"references": defaults})
 
 
 def score_experiments(
@@ -247,14 +243,30 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
 
 def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Combine evaluations into one, in which each becomes a repetition; recordings and plans are
-    those of the first."""
+    those of the first. Random references are pooled.
+
+    Raises ConfigurationError if the controllers tracked different forces.
+    """
     first = evaluations[0]
+    for each in evaluations[1:]:
+        if not _track_the_same(first, each):
+            raise ConfigurationError(
+                "controllers: they track different forces, because their ranges differ; evaluate "
+                "them separately, or set --reference to forces that all of them can track"
+            )
     moving = []
     for same in zip(*(evaluation.moving for evaluation in evaluations), strict=True):
         scores = scores_together([part.scores for part in same])
         by_signal = zip(*(part.settling for part in same), strict=True)
         settling = list(map(np.concatenate, by_signal))
         moving.append(same[0]._replace(scores=scores, settling=settling))
+    random = None
+    drawn = [evaluation.random for evaluation in evaluations if evaluation.random is not None]
+    if drawn:
+        random = summarize(
+            np.concatenate([part["references_n"] for part in drawn]),
+            np.concatenate([part["errors_n"] for part in drawn]),
+        )
     distances = [each.distance for each in evaluations if each.distance is not None]
     warnings = dict.fromkeys(chain(*(evaluation.warnings for evaluation in evaluations)))
     return dataclasses.replace(
@@ -264,7 +276,17 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
         distance=np.concatenate(distances, axis=1) if distances else None,
         warnings=tuple(warnings),
         moving=tuple(moving),
+        random=random,
     )
+
+
+def _track_the_same(one: Evaluation, other: Evaluation) -> bool:
+    """Whether two evaluations have the same tracked references, also at every tick of moving
+    ones."""
+    tracked = [[each.recording.reference] for each in (one, other)]
+    for forces, evaluation in zip(tracked, (one, other), strict=True):
+        forces += [moving.plan.tracked for moving in evaluation.moving]
+    return all(map(np.array_equal, *tracked))
 
 
 def evaluate_controllers(
@@ -282,12 +304,21 @@ def evaluate_controllers(
     Several controllers, such as those trained from different seeds, are the repetitions of one
     evaluation; each has the next seed.
     """
+    controllers = [load_controller(path) for path in paths]
+    controller = controllers[0]
+    first = f"{controller.kind}, {controller_clock(controller)}"
+    for path, other in zip(paths, controllers, strict=True):
+        check_limits(other.limits, target.limits, path, str(metadata["plant"]))
+        own = f"{other.kind}, {controller_clock(other)}"
+        if own != first:
+            raise ConfigurationError(
+                f"{path}: {own}, but {paths[0]} is {first}; evaluate them separately"
+            )
+    config = _with_references(config, controller)
     evaluations = []
-    for index, path in enumerate(paths):
-        controller = load_controller(path)
-        check_limits(controller.limits, target.limits, path, str(metadata["plant"]))
-        own = config.model_copy(update={"seed": config.seed + index})
-        evaluations.append(score_controller(controller, target, own))
+    for index, (path, other) in enumerate(zip(paths, controllers, strict=True)):
+        seeded = config.model_copy(update={"seed": config.seed + index})
+        evaluations.append(score_controller(other, target, seeded))
         progress("evaluate", (index + 1) / len(paths), str(path))
     evaluation = evaluations[0] if len(evaluations) == 1 else together(evaluations)
     conditions = {
@@ -316,7 +347,7 @@ def write_evaluation(
     docs/files.md explains the keys.
     """
     # Matplotlib, which takes a second, is only imported to draw.
-    from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
+    from softfin.evaluation.figures import experiments_figure, moving_figure
     from softfin.storage.figures import save_figure
 
     summary = evaluation.summary()
@@ -330,8 +361,6 @@ def write_evaluation(
         save_figure(experiments_figure(evaluation.recording), folder / "experiments.png")
         for moving in evaluation.moving:
             save_figure(moving_figure(moving), folder / f"{moving.plan.name}.png")
-        if evaluation.error_map is not None:
-            save_figure(error_map_figure(evaluation.error_map), folder / "error_map.png")
 
     artifacts.write_folder(out, write, overwrite)
     return summary

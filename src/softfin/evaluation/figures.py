@@ -16,17 +16,11 @@ from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.headline import settling_time
 from softfin.evaluation.moving_references import MovingScores
-from softfin.evaluation.range_errors import ErrorMap
-from softfin.gaits.figure import mark_paper_references
-from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, BLUE, ORANGE, new_figure, styled, with_minus_signs
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
 """Length of the plots from the start of an experiment [s], as in the paper's evaluation figure."""
-
-ERROR_COLOURS = "Blues"
-"""Colour map of the errors: darker means larger, also for colour-blind readers and in greyscale."""
 
 
 def experiments_figure(
@@ -145,47 +139,3 @@ def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
     axes.set_rlim(0, len(shown) / RATE_HZ)
     axes.set_rgrids([1, 2, 3, 4, 5][: len(shown) // RATE_HZ], angle=-widest)
     axes.set_title("fin angle [°], radius: time [s]", loc="center")
-
-
-def error_map_figure(errors: ErrorMap) -> Figure:
-    """Draw heat maps of the errors in x and y, with the paper's references and the outline of the
-    reachable forces."""
-    (left, bottom) = errors.cell.low
-    (right, top) = errors.cell.high
-    # Rows are y and columns are x; NaN where no reference is tracked.
-    lattice = np.full((errors.points, errors.points, 2), np.nan)
-    places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
-    # Each reference is the centre of its part, so rounding down gives the index of the part.
-    column, row = np.floor(places).astype(int).T
-    lattice[row, column] = errors.error
-    with styled():
-        figure = new_figure(9.6, 4.6)
-        panels = figure.subplots(1, 2, sharex=True, sharey=True)
-        for index, axes in enumerate(panels):
-            axes.grid(visible=False)
-            image = axes.imshow(
-                lattice[..., index],
-                origin="lower",
-                extent=(left, right, bottom, top),
-                vmin=0,
-                vmax=errors.error.max(),
-                cmap=ERROR_COLOURS,
-            )
-            # Fins of other sizes may produce none of them.
-            if any(errors.cell.distance(reference) == 0 for reference in PAPER_REFERENCES):
-                mark_paper_references(axes, 16)
-            if errors.reachable is not None:
-                outline = np.concatenate([errors.reachable, errors.reachable[:1]])
-                axes.plot(*outline.T, "--", color=BLACK, label="reachable forces")
-            error = errors.error[:, index]
-            axes.set_title(
-                f"error {AXES[index]}: mean {error.mean():#.2g} N, worst {error.max():#.2g} N",
-                weight="bold",
-            )
-            axes.set(xlabel="reference force x [N]", aspect="equal")
-        panels[0].set_ylabel("reference force y [N]")
-        figure.colorbar(
-            image, ax=panels, label="mean |moving average \N{MINUS SIGN} reference| [N]", shrink=0.9
-        )
-        add_legend(figure, panels[:1], "outside lower center")
-    return figure

@@ -1,9 +1,7 @@
-"""Errors over a controller's full range: on a lattice of references, and at random references.
+"""Errors over a controller's full range, at random references.
 
 All references run in one compiled program, each from rest, with one seed.
 """
-
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,16 +12,13 @@ from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import CoverageError
 from softfin.core.randomness import named_generator
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
-from softfin.evaluation.results import ErrorMapRows, RangeErrors
+from softfin.evaluation.results import RangeErrors
 from softfin.evaluation.scores import score
-from softfin.gaits.reachable import Cell, ForceVector, bounding_box
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.task.references import PAPER_RANGE
 
 ReferenceForces = Float[np.ndarray, "references 2"]
 """Reference forces (x, y) [N]."""
-
-LATTICE_POINTS = 7
-"""Default number of references along each side of the lattice."""
 
 MAX_RANDOM = 10_000
 """Maximum number of random references; they all run together."""
@@ -31,35 +26,6 @@ MAX_RANDOM = 10_000
 ROUNDS = 100
 """Number of forces drawn per random reference; if too few of them are reachable, the cells are
 treated as unreachable."""
-
-
-class ErrorMap(NamedTuple):
-    """Errors on a lattice of references."""
-
-    cell: Cell
-    """Range of the controller, divided into equal parts; each reference is the centre of one."""
-    points: int
-    """Number of references along each side."""
-    references: ReferenceForces
-    """References that the controller covers and the fin can reach [N]; the rest of the
-    ``points ** 2`` references are omitted."""
-    error: ReferenceForces
-    """Mean |moving average - reference| [N]."""
-    reachable: Float[np.ndarray, "corners 2"] | None = None
-    """Outline of the reachable mean forces [N]; None if unknown."""
-    not_reachable: int = 0
-    """Number of references that the controller covers but the fin cannot reach."""
-
-    def to_dict(self) -> ErrorMapRows:
-        """Return the map as values for JSON."""
-        return {
-            **summarize(self.references, self.error),
-            "points": self.points,
-            "low_n": list(self.cell.low),
-            "high_n": list(self.cell.high),
-            "not_covered": self.points**2 - len(self.references) - self.not_reachable,
-            "not_reachable": self.not_reachable,
-        }
 
 
 def summarize(references: ReferenceForces, error: ReferenceForces) -> RangeErrors:
@@ -93,39 +59,6 @@ def errors_at(
         controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key])
     )
     return score(independent(recording)).error[:, 0]
-
-
-def map_errors(
-    controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
-) -> ErrorMap:
-    """Compute the errors on a lattice over the controller's range; raises CoverageError if none of
-    its references can be tracked."""
-    cell = controller_range(controller)
-    reachable = reachable_set(controller)
-    outline = None if reachable is None else reachable.corners()
-    if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
-        raise CoverageError(
-            f"error map over {cell}: the controller's range has no area; train it for a larger cell"
-        )
-
-    def covers(reference: ForceVector) -> bool:
-        try:
-            controller.check(reference)
-        except CoverageError:
-            return False
-        return True
-
-    # Without any covered reference, the array would otherwise have no second axis.
-    covered = np.array(list(filter(covers, cell.lattice(points)))).reshape(-1, 2)
-    references = covered if reachable is None else covered[reachable.contains(covered)]
-    if not len(references):
-        raise CoverageError(
-            f"error map of {points} x {points} references over {cell}: the controller covers "
-            f"{len(covered)} of them, but the fin can reach none of those; use more points, or "
-            "train the controller for reachable forces (run softfin map to plot them)"
-        )
-    error = errors_at(controller, plant, references, seconds, key)
-    return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
 
 
 def random_errors(

@@ -68,16 +68,6 @@ class RangeErrors(TypedDict):
     worst_n: list[float]
 
 
-class ErrorMapRows(RangeErrors):
-    """An error map [N]."""
-
-    points: int
-    low_n: list[float]
-    high_n: list[float]
-    not_covered: int
-    not_reachable: int
-
-
 class EvaluationSummary(TypedDict):
     """``evaluation.json``, and each baseline of ``baselines.json``."""
 
@@ -89,7 +79,6 @@ class EvaluationSummary(TypedDict):
     mean: MeanScores
     warning: str | None
     moving: NotRequired[list[MovingRow]]
-    error_map: NotRequired[ErrorMapRows]
     random: NotRequired[RangeErrors]
     configuration: NotRequired[JsonObject]
     provenance: NotRequired[JsonObject]

@@ -148,14 +148,15 @@ const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}
 /* The surrogate that predicts: the plant that is chosen, or else the first surrogate; -1 without one. */
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
 
-/* Its mean force and interval, and of the last window the greatest distance of its motion from its training data and the
- * part of the time beyond them; null without one, or before a whole window. */
+/* Its mean force over INTERVAL_WINDOW and the interval of this mean, and of the last window the greatest distance of its
+ * motion from its training data and the part of the time beyond them; null without one, or before a whole window. */
 function prediction() {
   const index = predictor();
-  if (index < 0 || loop.time < WINDOW) return null;
+  if (index < 0 || loop.time < Math.max(WINDOW, INTERVAL_WINDOW)) return null;
   const plant = loop.plants[index], means = loop.memberAverages[index].map((window) => window.mean()), distances = loop.distances[index];
   const half = [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis])));
-  return { mean: loop.averages[index].mean(), half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
+  const mean = [0, 1].map((axis) => means.reduce((sum, each) => sum + each[axis], 0) / means.length);
+  return { mean, half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
 }
 
 function tell(predicted) {
@@ -168,7 +169,7 @@ function tell(predicted) {
   show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
   show("sobolev", full ? average.sobolev() : none);
   if (predictor() >= 0) {
-    element("predictor").textContent = `mean in ${plants[predictor()].name}`;
+    element("predictor").textContent = `${seconds(INTERVAL_WINDOW)} s mean in ${plants[predictor()].name}`;
     element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
     show("predicted", predicted ? predicted.mean : none);
     show("half", predicted ? predicted.half : none);

@@ -1,12 +1,14 @@
 /* Regions of mean forces (softfin.gaits.reachable): cells {low, high} and the star-shaped region {centre, radius}. */
 
-const TOLERANCE_N = 1e-3;
+/* Distance outside a region within which forces count as inside, as a fraction of its largest radius. */
+const EDGE_FRACTION = 4e-4;
 
 const distanceTo = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
 class Reachable {
   constructor({ centre_n, radius_n }) {
     this.centre = centre_n;
+    this.tolerance = EDGE_FRACTION * Math.max(...radius_n);
     this.offsets = radius_n.map((radius, k) => {
       const angle = (2 * Math.PI * k) / radius_n.length;
       return [radius * Math.cos(angle), radius * Math.sin(angle)];
@@ -24,7 +26,7 @@ class Reachable {
   }
 
   contains(force) {
-    return distanceTo(this.project(force), force) <= TOLERANCE_N;
+    return distanceTo(this.project(force), force) <= this.tolerance;
   }
 }
 

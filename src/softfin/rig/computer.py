@@ -15,9 +15,6 @@ from softfin.rig.web_page import fetch_page
 if TYPE_CHECKING:
     import can
 
-    from softfin.rig.ros2.config import TransportConfig
-    from softfin.rig.ros2.connection import Transport
-
 Address = tuple[str, int]
 """Host and port."""
 
@@ -133,13 +130,6 @@ class Computer(Clock):
     def fetch_page(self, host: str, port: int, path: str) -> bytes | None:
         """Return a device's web page; None if the device does not have it."""
         return fetch_page(host, port, path)
-
-    def open_topics(self, config: "TransportConfig") -> "Transport":
-        """Connect to ROS 2 topics; raises RigError."""
-        # Imported here because only devices behind topics need it.
-        from softfin.rig.ros2.plant import open_transport
-
-        return open_transport(config)
 
 
 COMPUTER = Computer()

@@ -29,6 +29,13 @@ def explain_losses(counters: Mapping[str, int]) -> str | None:
     )
 
 
+def wrapped_step(before: int, after: int) -> int:
+    """Return the difference of two 32-bit sequence numbers, allowing for wrap-around; negative if
+    the number went backwards."""
+    # Maps the difference to -2^31 .. 2^31 - 1.
+    return (after - before + 2**31) % 2**32 - 2**31
+
+
 class LossEstimate:
     """Estimates losses from times that may be late: records that wait for each other are stamped in
     a burst, and nothing is lost in the gap before the next burst.

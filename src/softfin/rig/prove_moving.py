@@ -130,15 +130,6 @@ class Swing(NamedTuple):
             session.abort(Trip("swing", problem))
 
 
-class Death(NamedTuple):
-    """The fin's motion after the death of the program."""
-
-    way_rad: float
-    """Angle by which the fin turned afterwards [rad]."""
-    seen_s: float
-    """Time after which the fin was seen at rest [s]."""
-
-
 def prove_moving(
     rig: Rig,
     deaths: int = DEATHS,
@@ -153,23 +144,19 @@ def prove_moving(
     config = rig.config
     clock = rig.clock
     swing = Swing.of(config)
-    seen = []
+    ways = []
     with _switched_off_after_error(config, clock):
         for number in (signal.SIGKILL, signal.SIGSTOP) * deaths:
-            death = _try_death(config, clock, swing, number)
-            tell(f"{number.name}: turned {death.way_rad:.3f} rad, at rest when looked at")
-            seen.append(death)
-    ways = [death.way_rad for death in seen]
-    times = [death.seen_s for death in seen]
+            way_rad = _try_death(config, clock, swing, number)
+            tell(f"{number.name}: turned {way_rad:.3f} rad, at rest when looked at")
+            ways.append(way_rad)
     record = load_record(config.file)
     assert record.stop_proof is not None, "it was proved first"
     moving = MovingProof(
-        deaths=len(seen),
+        deaths=len(ways),
         velocity_rad_s=round(swing.velocity_rad_s, 4),
         way_median_rad=round(median(ways), 4),
         way_worst_rad=round(max(ways), 4),
-        rest_median_s=round(median(times), 4),
-        rest_worst_s=round(max(times), 4),
     )
     proof = record.stop_proof.model_copy(update={"moving": moving})
     save_record(config.file, record.model_copy(update={"stop_proof": proof}))
@@ -206,7 +193,8 @@ class _MortalRig(Rig):
             super().stop()
 
 
-def _try_death(config: RigConfig, clock: Computer, swing: Swing, number: signal.Signals) -> Death:
+def _try_death(config: RigConfig, clock: Computer, swing: Swing, number: signal.Signals) -> float:
+    """Return the angle by which the fin turned after the death of the program [rad]."""
     # At a random time in the drive's own cycles, from the first or a later stroke.
     ticks = random.randrange(2 * RATE_HZ)
     rig = _MortalRig(config, clock)
@@ -231,38 +219,35 @@ def _kill_program(
 ) -> tuple[float, float]:
     """Run the program until it dies; return its last angle [rad] and the time since its death
     [s]."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", "softfin.rig.prove_moving", str(config.file)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
-            last_angle = swing.until_death(map(_read_angle, process.stdout), ticks)
-        except BaseException:
-            # At the end of its input, the program stops its fin; if it were killed, only the drive
-            # would.
-            process.stdin.close()
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(PROGRAM_STOP_S)
-            raise
-        process.send_signal(number)
-        died = COMPUTER()
-        COMPUTER.sleep(swing.silence_s)
-        # Only the end of a suspended program releases its devices.
-        process.kill()
-        lines = process.stdout.read().splitlines()
-        for line in lines:
-            last_angle = _read_angle(line)
-        return last_angle, COMPUTER() - died
-    finally:
-        process.kill()
-        process.wait()
-        process.stdin.close()
-        process.stdout.close()
+            try:
+                last_angle = swing.until_death(map(_read_angle, process.stdout), ticks)
+            except BaseException:
+                # At the end of its input, the program stops its fin; if it were killed, only the
+                # drive would.
+                process.stdin.close()
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(PROGRAM_STOP_S)
+                raise
+            process.send_signal(number)
+            died = COMPUTER()
+            COMPUTER.sleep(swing.silence_s)
+            # Only the end of a suspended program releases its devices.
+            process.kill()
+            lines = process.stdout.read().splitlines()
+            for line in lines:
+                last_angle = _read_angle(line)
+            return last_angle, COMPUTER() - died
+        finally:
+            process.kill()
 
 
 def _read_angle(line: str) -> float:
@@ -274,9 +259,9 @@ def _read_angle(line: str) -> float:
 
 def _look(
     config: RigConfig, clock: Computer, swing: Swing, died_angle: float, silent_s: float
-) -> Death:
-    """Look at the drive after its program has died; raises DeviceError if it has not stopped the
-    fin by itself."""
+) -> float:
+    """Look at the drive after its program has died, and return the angle by which the fin turned
+    [rad]; raises DeviceError if the drive has not stopped it by itself."""
     rig = Rig(config, clock)
     drive = rig.drive
     began = rig.clock()
@@ -305,7 +290,7 @@ def _look(
             f"fin turned by {way_rad:.2f} rad after softfin had died, allowed are {most_rad:.2f}; "
             f"{fix}"
         )
-    return Death(way_rad, seen_s)
+    return way_rad
 
 
 def main() -> None:

@@ -26,10 +26,6 @@ class MovingProof(Configuration):
     way_median_rad: float
     way_worst_rad: float
     """Angle by which the fin turned after each death [rad]."""
-    rest_median_s: float
-    rest_worst_s: float
-    """Time after which the fin was seen at rest [s]; it may have stood earlier, because softfin is
-    silent for a while before it looks."""
 
     @property
     def text(self) -> str:

@@ -36,6 +36,9 @@ force's age is much shorter."""
 MEASURED_S = 0.5
 """Shortest time over which the rate is measured [s]."""
 
+PAUSE_S = 0.3
+"""Shortest pause between records while the sensor is opened that counts as a restart [s]."""
+
 KEPT_S = 2.0
 """Time after which unread records are dropped [s]."""
 
@@ -126,6 +129,10 @@ class RecordSource(ABC):
     @abstractmethod
     def open(self) -> None:
         """Start receiving, with all counters at 0; raises RigError or DeviceError."""
+
+    def restart(self) -> None:
+        """Forget the records so far, because the sensor restarted while it was opened."""
+        self.counted.clear()
 
     @abstractmethod
     def take(self) -> Sequence[TimedWrench]:
@@ -358,9 +365,8 @@ class StreamedSensor:
     def _await_records(self) -> None:
         """Wait until the records arrive at the configured rate, without faults."""
         rate_hz = self.config.rate_hz
-        if not self._wait(lambda: self._newest is not None, FIRST_WAIT_S):
-            raise DeviceError(f"{self.name}: {self._source.explain_silence()}")
         shortest_s = max(MEASURED_S, 5 / rate_hz)
+        pause_s = max(PAUSE_S, 5 / rate_hz)
 
         def is_right(measured_hz: float) -> bool:
             return abs(measured_hz / rate_hz - 1) <= 0.1
@@ -372,6 +378,16 @@ class StreamedSensor:
             has_rate = is_right(self.times.rate_hz) and is_right(self._arrival_rate_hz())
             return is_measured and has_rate
 
+        def pauses() -> bool:
+            return self.clock() - self._arrival > pause_s
+
+        self._await_first()
+        self._wait(lambda: fits() or pauses(), 5.0 + shortest_s)
+        if pauses():
+            # A restarting Arduino: the records so far were sent before its port was opened.
+            self._reset()
+            self._source.restart()
+            self._await_first()
         is_fit = self._wait(fits, 5.0 + shortest_s)
         if complaints := self.complaints():
             raise DeviceError(complaints[0])
@@ -388,6 +404,10 @@ class StreamedSensor:
                 f"stamps or numbers there are {self.times.rate_hz:.0f}; check the speed of its "
                 "clock, and the connection"
             )
+
+    def _await_first(self) -> None:
+        if not self._wait(lambda: self._newest is not None, FIRST_WAIT_S):
+            raise DeviceError(f"{self.name}: {self._source.explain_silence()}")
 
     def _arrival_rate_hz(self) -> float:
         """Return how many usable records have arrived per second [Hz]."""

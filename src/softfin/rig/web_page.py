@@ -3,7 +3,7 @@
 import contextlib
 import http.client
 
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError, RigError, one_line
 
 MAX_PAGE_BYTES = 256 * 1024
 """Maximum page size [bytes]; real pages are a few thousand bytes."""
@@ -23,14 +23,11 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
             response = connection.getresponse()
             body = response.read(MAX_PAGE_BYTES + 1)
     except (OSError, http.client.HTTPException, ValueError) as error:
-        reason = (
-            f"no response within {PAGE_TIMEOUT_S:g} s"
-            if isinstance(error, TimeoutError)
-            else f"{error}"
-        )
+        reason = one_line(error)
+        if isinstance(error, TimeoutError):
+            reason = f"no response within {PAGE_TIMEOUT_S:g} s"
         raise DeviceError(
-            f"{where}: cannot read the force sensor's page "
-            f"({' '.join(reason.split()) or type(error).__name__}); check its power, cable, "
+            f"{where}: cannot read the force sensor's page ({reason}); check its power, cable, "
             "address and http_port"
         ) from None
     if response.status == http.client.NOT_FOUND:

@@ -62,7 +62,7 @@ def collect(
     """
     out = Path(out)
     check_seed(seed)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="dataset")
     is_real = isinstance(plant, str) and is_live(plant)
     for option, is_given in (("--arm", arm), ("--resume", resume)):
         if is_given and not is_real:

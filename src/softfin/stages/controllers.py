@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from softfin.core.choices import PolicyLayout, TrainingRangeName
-from softfin.core.configuration import configure
+from softfin.core.configuration import Changes, configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
@@ -52,7 +52,7 @@ def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
     if text != AUTO:
         return ActionClock.parse(text)
     stroke_s = None
-    if isinstance(plant, str) and artifacts.is_kind(Path(plant), "surrogate"):
+    if isinstance(plant, str | Path) and artifacts.is_kind(Path(plant), "surrogate"):
         stroke_s = artifacts.load_description(Path(plant), "surrogate").get("stroke_s")
     if stroke_s is None:
         raise ConfigurationError(
@@ -206,13 +206,17 @@ def train(
     from softfin.storage.run_directory import RunDirectory
     from softfin.surrogate.channels import learnt_from
 
-    preset = TRAIN_PRESETS[controller or "single"]
+    # The layout may be in the file.
+    layout = configure(TRAIN_PRESETS["single"], config, controller=controller).controller
+    preset = TRAIN_PRESETS[layout]
     if chosen_clock is not None:
         preset = for_clock(preset, chosen_clock)
     settings = configure(preset, config, controller=controller, range=range, steps=steps)
     if chosen_clock is not None and settings.task.clock != chosen_clock:
-        # The option wins over the file.
+        # The option wins over the file, whose numbers of actions are scaled; what was typed is not.
         settings = for_clock(settings, chosen_clock)
+        typed = config._replace(file=None) if isinstance(config, Changes) else None
+        settings = configure(settings, typed, steps=steps)
     plant = find_plant(surrogate)
     metadata = {
         "configuration": settings.model_dump(mode="json"),

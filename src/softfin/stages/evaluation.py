@@ -43,7 +43,6 @@ def evaluate(
     strict: bool = False,
     trim: bool = False,
     randomize: float | None = None,
-    error_map: int | None = None,
     random: int | None = None,
     config: Config = None,
     arm: bool = False,
@@ -69,8 +68,6 @@ def evaluate(
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
         randomize: Perturb the tank's parameters in each repetition, by up to this fraction.
-        error_map: Plot the error over the controller's range, at this many references along each
-            side.
         random: Also evaluate this many random references within the reachable part of the training
             range.
         config: `EvaluateConfig`; its fields are options too.
@@ -88,6 +85,13 @@ def evaluate(
     check_seed(seed)
     if reference_file is not None:
         check_reference_file(Path(reference_file))
+    if repeats is not None and repeats < 1:
+        raise ConfigurationError(f"--repeats {repeats}: must be at least 1")
+    if not controllers and config is not None:
+        from softfin.evaluation.evaluate import EvaluateConfig
+
+        # The controller may have become the value of a misspelt option.
+        configure(EvaluateConfig(), config)
     paths = list(map(Path, controllers))
     out = None if out is None else Path(out)
     is_real = isinstance(plant, str) and is_live(plant)
@@ -109,7 +113,6 @@ def evaluate(
         seeds=repeats,
         seed=seed,
         strict=strict or None,
-        error_map=error_map,
         random=random,
     )
     if trim and settings.trim is None:
@@ -187,12 +190,14 @@ def _check_evaluation(
     if is_real and out is None:
         raise ConfigurationError(f"{plant}: moves in real time; set --out, to keep the recording")
     if not controllers:
-        raise ConfigurationError("missing required CONTROLLER; see --help")
+        raise ConfigurationError(
+            "CONTROLLER: missing; usage: softfin evaluate [OPTIONS] CONTROLLER..."
+        )
     if is_real and len(controllers) > 1:
         raise ConfigurationError(f"{plant}: moves in real time; evaluate one controller at a time")
     for path in controllers:
         artifacts.find_description(path, "controller")
     if out is not None:
-        artifacts.check_vacant(out, overwrite)
+        artifacts.check_vacant(out, overwrite, kind="evaluation")
     if not is_real:
         check_plant(plant)

@@ -37,7 +37,7 @@ def write_example(
         >>> softfin.write_example("example")
     """
     out = Path(folder)
-    artifacts.check_vacant(out, overwrite, "folder")
+    artifacts.check_vacant(out, overwrite, "folder", "example")
 
     def copy(place: Path) -> None:
         # Only the contents are copied, because the package's files may be read-only.

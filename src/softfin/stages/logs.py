@@ -41,7 +41,7 @@ def inspect_logs(
     logs = Path(logs)
     find_recordings(logs)
     if out is not None:
-        artifacts.check_vacant(Path(out), overwrite)
+        artifacts.check_vacant(Path(out), overwrite, kind="inspection")
     from softfin.data.checks.report import write_inspection
     from softfin.data.recordings import open_logs
 
@@ -91,7 +91,7 @@ def import_logs(
     logs = Path(logs)
     out = Path(out)
     find_recordings(logs)
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite, kind="dataset")
     from softfin.data.recordings import open_logs
     from softfin.storage.dataset import write_dataset
 

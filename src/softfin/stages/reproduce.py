@@ -3,7 +3,6 @@
 A stage whose folder exists is skipped, so that a stopped run can continue.
 """
 
-import json
 import resource
 import shutil
 import sys
@@ -15,6 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from softfin.core.choices import PolicyLayout, ReproducePreset
+from softfin.core.errors import ArtifactError, RunError
 from softfin.core.option_types import DIR, HIDDEN, PLANT, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
@@ -191,7 +191,8 @@ def reproduce(
     _claim(out, plant, preset, seed, resume, overwrite)
     if (out / RESULTS).is_file():
         # The run is complete.
-        return _describe(out, json.loads((out / RESULTS).read_text()))
+        complete: Any = artifacts.read_json(out / RESULTS, "repeat the run with --overwrite")
+        return _describe(out, complete)
     from softfin.evaluation.report import write_report
 
     stages = _list_stages(out, plant, PRESETS[preset], seed)
@@ -202,17 +203,25 @@ def reproduce(
     write_report(out / "report.html", results, _find_figures(out, results))
     # Written last, because it marks the run as complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
+    shutil.rmtree(_replaced(out), ignore_errors=True)
     return _describe(out, results)
 
 
-def _claim(out: Path, plant: str, preset: str, seed: int, resume: bool, overwrite: bool) -> None:
+def _claim(
+    out: Path, plant: str, preset: ReproducePreset, seed: int, resume: bool, overwrite: bool
+) -> None:
     """Claim the folder for this run, or continue a stopped run with the same options."""
-    from softfin.core.errors import ArtifactError
     from softfin.core.plant_identity import identity
     from softfin.storage.registry import find_plant
-    from softfin.storage.run_directory import check_same
+    from softfin.storage.run_directory import check_same, software_versions
 
-    metadata = {"plant": identity(find_plant(plant)), "seed": seed, "preset": preset}
+    metadata = {
+        "plant": identity(find_plant(plant)),
+        "seed": seed,
+        "preset": preset,
+        "configuration": artifacts.plain(PRESETS[preset]._asdict()),
+        "software": software_versions(),
+    }
     if resume and artifacts.is_kind(out, REPRODUCTION_KIND):
         try:
             before = artifacts.load_description(out, REPRODUCTION_KIND)
@@ -222,11 +231,40 @@ def _claim(out: Path, plant: str, preset: str, seed: int, resume: bool, overwrit
                 raise
         else:
             return
-    artifacts.check_vacant(out, overwrite)
-    shutil.rmtree(out, ignore_errors=True)
+    artifacts.check_vacant(out, overwrite, kind=REPRODUCTION_KIND)
+    if artifacts.is_kind(out, REPRODUCTION_KIND):
+        _clear(out, plant)
+    # A link may now refer to a folder that no longer exists.
     artifacts.write_file(
-        out / f"{REPRODUCTION_KIND}.json", artifacts.encode_description(REPRODUCTION_KIND, metadata)
+        out.resolve() / f"{REPRODUCTION_KIND}.json",
+        artifacts.encode_description(REPRODUCTION_KIND, metadata),
     )
+
+
+def _clear(out: Path, plant: str) -> None:
+    """Set a complete run aside, until the new one is complete, or remove an unfinished run."""
+    folder = out.resolve()
+    if Path(plant).exists() and Path(plant).resolve().is_relative_to(folder):
+        raise ArtifactError(
+            f"{out}: contains the plant {plant}, which would be replaced too; choose another --out"
+        )
+    try:
+        if (folder / RESULTS).is_file():
+            shutil.rmtree(_replaced(out), ignore_errors=True)
+            folder.rename(_replaced(out))
+        else:
+            shutil.rmtree(folder)
+    except OSError as error:
+        raise RunError(
+            f"{out}: cannot be replaced ({error.strerror or error}); remove it, or choose another "
+            "--out"
+        ) from None
+
+
+def _replaced(out: Path) -> Path:
+    """Return the folder of the previous run while a new one replaces it."""
+    folder = out.resolve()
+    return folder.with_name(f".{folder.name}.before")
 
 
 def _list_stages(out: Path, plant: str, preset: Preset, seed: int) -> list[Stage]:
@@ -372,9 +410,14 @@ def _collect_results(
 ) -> "RunResults":
     """Return the contents of ``results.json``, from the files of the stages."""
 
-    def read_evaluations(folder: str) -> "dict[str, EvaluationSummary] | None":
-        files = [out / folder / kind / "evaluation.json" for kind in ("gaits", *policies)]
-        return {file.parent.name: json.loads(file.read_text()) for file in files if file.exists()}
+    def read_evaluations(folder: str) -> "dict[str, EvaluationSummary]":
+        summaries: dict[str, Any] = {}
+        for kind in ("gaits", *policies):
+            file = out / folder / kind / "evaluation.json"
+            remedy = f"remove {file.parent}, then use --resume"
+            if file.exists():
+                summaries[kind] = artifacts.read_json(file, remedy)
+        return summaries
 
     policies = PRESETS[preset].policies
     surrogate = None
@@ -388,7 +431,7 @@ def _collect_results(
         "seed": seed,
         "seeds": PRESETS[preset].num_seeds,
         "surrogate": surrogate,
-        "controllers": read_evaluations("evaluation") or {},
+        "controllers": read_evaluations("evaluation"),
         "trimmed": read_evaluations("evaluation-trimmed") or None,
         "in_surrogate": read_evaluations("evaluation-in-surrogate") or None,
         "stages": stages,

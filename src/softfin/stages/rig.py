@@ -174,7 +174,7 @@ def emulate(
         tank: Tank configuration file (default: softfin's own tank).
         seed: Seed for the tank's noise.
         drive: Type of the emulated drive: epos2 or dynamixel.
-        sensor: Type of the emulated force sensor: axia80, lines or ros2.
+        sensor: Type of the emulated force sensor: axia80 or lines.
         real_time: Instead, emulate a drive and a sensor in real time on local sockets, until
             Ctrl-C.
         overwrite: Replace an existing file.

@@ -89,7 +89,7 @@ def evaluate(
         The contents of robot.json.
     """
     out = Path(out)
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite, kind="robot")
     paths = [Path(controller) for controller in controllers]
     for path in paths:
         artifacts.find_description(path, "controller")

@@ -83,7 +83,7 @@ def fit(
     out = Path(out)
     check_seed(seed)
     find_recordings(dataset)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="surrogate")
     architecture = find_architecture(model)
     settings = configure(architecture.config(), config)
     from softfin.data.recordings import open_logs
@@ -105,6 +105,7 @@ def fit(
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
         "data_hash": opened.data_hash,
+        "model": model,
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
@@ -285,7 +286,7 @@ def calibrate(
     """
     out = Path(out)
     check_seed(seed)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="calibration")
     check_data(data)
     from softfin.storage.run_directory import RunDirectory
     from softfin.tank.calibration.calibrate import calibrate_tank

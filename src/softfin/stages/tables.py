@@ -9,7 +9,6 @@ from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
 from softfin.evaluation.results import (
-    ErrorMapRows,
     EvaluationSummary,
     MeanScores,
     MovingRow,
@@ -142,8 +141,6 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
     lines = [table_two({summary["conditions"]["kind"]: summary})]
     if "moving" in summary:
         lines.append(moving_table(summary["moving"], decimals))
-    if "error_map" in summary:
-        lines.append(map_line(summary["error_map"], decimals))
     if "random" in summary:
         count = len(summary["random"]["errors_n"])
         errors = _range_errors(summary["random"], decimals)
@@ -161,21 +158,6 @@ def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
         errors = [f"{row[axis]['error_n']:.{decimals}f}" for axis in AXES]
         cells.append([f"  {row['described']}", *errors, settling_time(row) or "-"])
     return "\n".join(aligned(cells))
-
-
-def map_line(errors: ErrorMapRows, decimals: int) -> str:
-    """Return the error map as one line."""
-    (x0, y0) = errors["low_n"]
-    (x1, y1) = errors["high_n"]
-    gaps = ""
-    if errors["not_covered"]:
-        gaps += f", {errors['not_covered']} not covered"
-    if errors["not_reachable"]:
-        gaps += f", {errors['not_reachable']} unreachable"
-    return (
-        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
-        f"{y0:g} .. {y1:g} N{gaps}: {_range_errors(errors, decimals)}"
-    )
 
 
 def _range_errors(errors: RangeErrors, decimals: int) -> str:

@@ -27,9 +27,17 @@ from softfin.storage.formats import FOLDERS, check_format
 WEIGHTS = "weights.safetensors"
 
 
-def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> None:
+def check_vacant(
+    path: Path, overwrite: bool = False, option: str = "--out", kind: str | None = None
+) -> None:
     """Raise ArtifactError unless a folder can be written to `path`: it must be missing or empty, or
-    a softfin folder if `overwrite` is set."""
+    a softfin folder if `overwrite` is set, of the given kind if there is one."""
+    if Path.cwd().is_relative_to(path.resolve()):
+        # The output replaces the folder, and relative paths would no longer refer to anything.
+        raise ArtifactError(
+            f"{path}: is or contains the current folder, which cannot be replaced; choose another "
+            f"{option}"
+        )
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
@@ -37,10 +45,11 @@ def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> 
         raise ArtifactError(
             f"{path}: already exists; choose another {option}, or use --overwrite to replace it"
         )
-    if not any(_is_own(path, kind) for kind in FOLDERS):
+    kinds = tuple(FOLDERS) if kind is None else (kind,)
+    if not any(_is_own(path, each) for each in kinds):
         raise ArtifactError(
-            f"{path}: already exists and was not written by softfin, so it is not replaced; choose "
-            f"another {option}"
+            f"{path}: already exists and is not a softfin {kind or 'folder'}, so it is not "
+            f"replaced; choose another {option}"
         )
 
 
@@ -111,6 +120,9 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
             path.rename(before)
         beside.rename(path)
     except (OSError, ArtifactError) as error:
+        if before.exists() and not path.exists():
+            with contextlib.suppress(OSError):
+                before.rename(path)
         # The result may have taken hours, so it is kept.
         raise RunError(f"{error}; the finished result is in {beside}; rename it") from None
     shutil.rmtree(before, ignore_errors=True)
@@ -252,12 +264,12 @@ def find_description(path: Path, kind: str) -> Path:
     return file
 
 
-def read_json(file: Path) -> JsonObject:
+def read_json(file: Path, remedy: str = "copy it again") -> JsonObject:
     """Read the object in one of softfin's JSON files."""
     try:
         description = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise ArtifactError(f"{file}: cannot be read as JSON ({error}); copy it again") from None
+        raise ArtifactError(f"{file}: cannot be read as JSON ({error}); {remedy}") from None
     if not isinstance(description, dict):
         raise ArtifactError(f"{file}: must contain a JSON object; it was not written by softfin")
     return description

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from softfin.core.errors import PlantError, one_line
+from softfin.core.errors import ConfigurationError, PlantError, one_line
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
@@ -70,10 +70,17 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     raise PlantError(f"plant {name}: unknown ({what}); use {HELP}")
 
 
-def check_plant(name: "str | Plant") -> None:
+def check_plant(name: "str | Path | Plant") -> None:
     """Raise a PlantError if there is no simulated plant of this name."""
+    if isinstance(name, str | Path):
+        resolve_plant(_name_path(name))
+
+
+def _name_path(name: str | Path) -> str:
+    """Return a path as text that cannot be mistaken for the name of a plant."""
     if isinstance(name, str):
-        resolve_plant(name)
+        return name
+    return str(name) if name.is_absolute() else f"./{name}"
 
 
 def check_data(name: "str | Path | Plant") -> None:
@@ -87,14 +94,15 @@ def check_data(name: "str | Path | Plant") -> None:
         resolve_plant(str(name))
 
 
-def find_plant(name: "str | Plant") -> "Plant":
+def find_plant(name: "str | Path | Plant") -> "Plant":
     """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
     Raises a PlantError that lists the possible names."""
-    if not isinstance(name, str):
-        return name
+    if not isinstance(name, str | Path):
+        return _check_is_plant(name, "plant")
     from softfin.core.quantities import Limits
 
-    plant = resolve_plant(name)()
+    check_precision()
+    plant = resolve_plant(_name_path(name))()
     try:
         problem = Limits(*map(float, plant.limits)).problem()
     except (TypeError, ValueError) as error:
@@ -104,8 +112,20 @@ def find_plant(name: "str | Plant") -> "Plant":
     if problem:
         raise PlantError(f"plant {name}: {problem}")
     if not type(plant).__module__.startswith("softfin."):
-        _check_simulator(plant, name)
+        _check_simulator(plant, str(name))
     return plant
+
+
+def check_precision() -> None:
+    """Raise ConfigurationError if JAX computes in double precision, with which softfin's programs
+    do not compile."""
+    import jax
+
+    if cast(Any, jax.config).read("jax_enable_x64"):
+        raise ConfigurationError(
+            "JAX: jax_enable_x64 is on, but softfin computes in single precision; unset "
+            "JAX_ENABLE_X64 or call jax.config.update('jax_enable_x64', False)"
+        )
 
 
 def _check_simulator(plant: "Plant", name: str) -> None:
@@ -174,9 +194,16 @@ def _import_plant(name: str, build: bool = False) -> Any:
         # The user's code may raise any error.
         reason = one_line(error)
         raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; use {HELP}") from error
+    return _check_is_plant(plant, f"plant {name}")
+
+
+def _check_is_plant(plant: object, name: str) -> "Plant":
+    """Return a plant; raises a PlantError for any other object."""
+    from softfin.core.plant import Plant
+
     if not isinstance(plant, Plant):
         raise PlantError(
-            f"plant {name}: a {type(plant).__name__} is not a plant with limits, init and advance; "
-            "run softfin.testing.check_plant to find out what is missing"
+            f"{name}: a {type(plant).__name__} is not a plant with limits, init and advance; run "
+            "softfin.testing.check_plant to find out what is missing, or use the name of a plant"
         )
     return plant

@@ -68,11 +68,18 @@ class RunDirectory:
                 f"{self.folder}: contains an unfinished run; continue with --resume, or discard it "
                 "with --overwrite"
             )
-        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            if self.folder.exists():
+                shutil.rmtree(self.folder)
+        except OSError as error:
+            # Its checkpoint would be taken for one of this run.
+            raise RunError(
+                f"{self.folder}: cannot be removed ({error.strerror or error}); remove it yourself"
+            ) from None
 
     def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
-        run = {"software": _software(), "fingerprint": self.fingerprint}
+        run = {"software": software_versions(), "fingerprint": self.fingerprint}
         artifacts.write_file(
             self.folder / CHECKPOINT,
             artifacts.encode(name_leaves(tree), {"facts": json.dumps(run | metadata)}),
@@ -105,10 +112,11 @@ class RunDirectory:
                 f"{path}: damaged ({error}); start again with --overwrite"
             ) from None
         # The training state and the next random numbers depend on both versions.
-        if software != _software():
+        current = software_versions()
+        if software != current:
             raise ArtifactError(
-                f"{path}: written by {software}, but this is {_software()}; resume with that "
-                "version, or use --overwrite"
+                f"{path}: written by {software}, but this is {current}; resume with that version, "
+                "or use --overwrite"
             )
         check_same(path, fingerprint, self.fingerprint)
         return arrays, metadata
@@ -168,7 +176,8 @@ def read_training_log(path: Path) -> list[JsonObject]:
     return entries
 
 
-def _software() -> str:
+def software_versions() -> str:
+    """Return the versions on which a run depends."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 

@@ -51,10 +51,6 @@ class SurrogatePlant(Plant, Protocol):
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
         """Predict the last rows of each log with each network, by name: the rows of Table I."""
 
-    def flops_per_tick(self) -> int:
-        """Return the number of floating-point operations in the matrix products per sample and
-        fin."""
-
     def parameters(self) -> int:
         """Return the number of trainable parameters."""
 

@@ -8,6 +8,7 @@ from softfin.core.errors import ArtifactError, ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
+from softfin.storage.registry import check_precision
 from softfin.surrogate.protocol import SurrogatePlant
 from softfin.surrogate.registry import PAPER, find_architecture
 
@@ -54,6 +55,7 @@ def load_surrogate(path: Path) -> SurrogatePlant:
     Raises:
         ArtifactError: it is damaged, or has an unsupported rate, model or set of channels.
     """
+    check_precision()
     description, weights = artifacts.load(path, SURROGATE_KIND)
     source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:

@@ -9,8 +9,7 @@ from softfin.rig.config import RigConfig
 from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices import registry
 from softfin.rig.devices.axia80.config import Axia80Config
-from softfin.rig.devices.axia80.device import AXIA80
-from softfin.rig.devices.axia80.sensor import RdtSource
+from softfin.rig.devices.axia80.sensor import AXIA80, RdtSource
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.rig import Rig
 from softfin.storage import plugins

@@ -5,7 +5,6 @@ import pytest
 
 from softfin.core.errors import DeviceError, SafetyStop
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.ros2 import SimulatedTransport
 from softfin.rig.machine import Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.connection import Subscription
@@ -15,6 +14,7 @@ from softfin.rig.session import Session
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.ros2.test_plant import CONFIG
+from tests.rig.simulated_topics import SimulatedTransport
 
 LOAD_N = 40.0
 """Above the limit."""

@@ -234,8 +234,9 @@ def test_nothing_is_overwritten_unless_it_is_said_and_never_the_original(damaged
     with pytest.raises(ArtifactError, match="already exists"):
         recover(path, out)
     recover(path, out, overwrite=True)
-    with pytest.raises(ArtifactError, match="already exists"):
-        recover(path, path, overwrite=True)
+    for overwrite in (False, True):
+        with pytest.raises(ArtifactError, match=r"is the damaged recording itself; .*--out"):
+            recover(path, path, overwrite)
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         "harmed.mcap",
         "harmed.recovered.mcap",

@@ -5,7 +5,6 @@ import numpy as np
 
 from softfin.core.quantities import Command
 from softfin.surrogate.streaming.ensemble import motions
-from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion
 from tests.surrogate.streaming import small
 
@@ -44,8 +43,3 @@ def test_a_net_that_follows_says_the_profile_before_it_has_learnt():
     np.testing.assert_allclose(said.angle[:-1], profile.angle, atol=1e-6)
     np.testing.assert_allclose(said.velocity[:-1], profile.velocity, atol=1e-6)
     assert np.abs(run(net, still, waiting, COMMANDS).angle - said.angle).max() > 1e-3
-
-
-def test_products_are_those_of_the_core():
-    # 3 units and 4 hidden; 3 odd inputs, 1 even, 2 odd outputs.
-    assert products(small.drive_net()) == 6 * 6 + 7 * 12 + 6 * 4 + 3 * 2 + 4 * 6

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from softfin.core.quantities import TICK_S
 from softfin.surrogate.streaming.ensemble import forces
-from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import Motion
 from tests.surrogate.streaming import small
 
@@ -97,10 +96,3 @@ def test_forces_is_step_by_step():
     net = small.force_net()
     said = jax.jit(forces)(net, MOTION)
     np.testing.assert_allclose(said, force(net, MOTION), atol=1e-5)
-
-
-def test_products_are_those_of_the_core_and_of_the_wake():
-    # 3 units: 4 x 8 odd ... see test_core; the wake is pushed by 3 even and 3 odd units, 2 vectors
-    # each.
-    net = small.force_net()
-    assert products(net) == (3 + 5) * 6 + (6 + 2) * 12 + 6 * 4 + 4 + 3 + 4 * 3 + 2 * 3 * 2

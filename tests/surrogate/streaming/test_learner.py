@@ -103,7 +103,7 @@ def learner():
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
     twins = jax.tree.map(lambda x: jnp.stack([x, x]), small.force_net())
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
-    state, loss = learner.run(learner.start(twins), TABLE, nowhere, 0, 4, KEY)
+    ((state, loss),) = learner.run(learner.start(twins), TABLE, nowhere, [(0, 4)], KEY)
     assert loss[0] != loss[1]
     moved = [
         np.asarray(new - old)
@@ -125,7 +125,8 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
 def trained(learner):
     """Weights and loss of each member after 8 updates."""
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
-    state, loss = learner.run(learner.start(small.members().force), TABLE, nowhere, 0, 8, KEY)
+    start = learner.start(small.members().force)
+    *_, (state, loss) = learner.run(start, TABLE, nowhere, [(0, 4), (4, 4)], KEY)
     return [np.asarray(leaf) for leaf in jax.tree.leaves((state.nets, loss))]
 
 
@@ -161,7 +162,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     state = learner.start(small.members().force)
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     for first in (0, 1):
-        state, _ = learner.run(state, TABLE, nowhere, first, 4, KEY)
+        ((state, _),) = learner.run(state, TABLE, nowhere, [(first, 4)], KEY)
         state, _ = keep_best_nets(state, jnp.ones(2), jnp.asarray([1.0, 2.0], jnp.float32), "nets")
         once = len(compiled) if first == 0 else once
     assert len(compiled) == once

@@ -53,7 +53,7 @@ class ImportConfig(Configuration):
     """Unit of the force columns (default: from the column names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Recorded axes that are softfin's +x (thrust, drives the robot forward) and +y."""
-    negate: Annotated[tuple[SignedChannel | FurtherChannel, ...], NAMES] = ()
+    negate: Annotated[tuple[Literal[SignedChannel, FurtherChannel], ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""

@@ -53,7 +53,7 @@ class _Network(canopen.Network):
         if not self.silent and self.bus is not None:
             super().send_message(can_id, bytes(data), remote)
 
-    def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
         """Send immediately and then every period [s]; returns an object with the methods of
         canopen's periodic task."""
         ended = self._clock.event()

@@ -116,7 +116,7 @@ def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONL
 class ProcessData:
     """PDOs of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
-    def __init__(self, node: Any, send: Callable[[int, bytes], None]) -> None:
+    def __init__(self, node: canopen.LocalNode, send: Callable[[int, bytes], None]) -> None:
         self._node = node
         self._send = send
         self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}

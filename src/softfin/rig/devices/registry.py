@@ -14,11 +14,10 @@ GROUP = "softfin.devices"
 `DriveType` or a `ForceSensorType`."""
 
 DEVICES = {
-    "dynamixel": "softfin.rig.devices.dynamixel.device:DYNAMIXEL",
-    "epos2": "softfin.rig.devices.epos2.device:EPOS2",
-    "axia80": "softfin.rig.devices.axia80.device:AXIA80",
-    "lines": "softfin.rig.devices.lines.device:LINES",
-    "ros2": "softfin.rig.devices.ros2.device:ROS2",
+    "dynamixel": "softfin.rig.devices.dynamixel.drive:DYNAMIXEL",
+    "epos2": "softfin.rig.devices.epos2.drive:EPOS2",
+    "axia80": "softfin.rig.devices.axia80.sensor:AXIA80",
+    "lines": "softfin.rig.devices.lines.sensor:LINES",
 }
 """softfin's own devices; their modules are imported when they are used."""
 

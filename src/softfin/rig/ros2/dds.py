@@ -255,7 +255,7 @@ class DdsTransport:
         )
 
 
-def _name_participant(participant: Any, key: UUID) -> str:
+def _name_participant(participant: DomainParticipant, key: UUID) -> str:
     """Return the process of another participant, or its number in DDS if it does not send the
     process: only Cyclone DDS does, and DDS does not have the names of ROS 2's nodes."""
     values: dict[str, str] = {}
@@ -280,18 +280,14 @@ def _asked(quality: Quality, depth: int) -> Qos:
 
 def _offered(deadline_s: float | None) -> Qos:
     """Return the quality of service for a writer."""
-    policies = [
-        RELIABLE,
-        Policy.History.KeepLast(DEPTH),
-        Policy.Durability.Volatile,
-        REPRESENTATION,
-    ]
-    if deadline_s is not None:
-        deadline_ns = round(deadline_s * 1e9)
-        # Manual by topic, so that only messages assert liveliness: a hung softfin must not look
-        # alive because its middleware is.
-        policies += [Policy.Deadline(deadline_ns), Policy.Liveliness.ManualByTopic(deadline_ns)]
-    return Qos(*policies)
+    policies = _asked("reliable", DEPTH)
+    if deadline_s is None:
+        return policies
+    deadline_ns = round(deadline_s * 1e9)
+    # Manual by topic, so that only messages assert liveliness: a hung softfin must not look alive
+    # because its middleware is.
+    liveliness = Policy.Liveliness.ManualByTopic(deadline_ns)
+    return Qos(Policy.Deadline(deadline_ns), liveliness, base=policies)
 
 
 @functools.cache

@@ -136,22 +136,19 @@ class RclpyTransport:
 def _asked(quality: Quality, depth: int) -> object:
     """Return the quality of service for a subscription."""
     qos = importlib.import_module("rclpy.qos")
+    policies = {"depth": depth, "reliability": qos.ReliabilityPolicy.RELIABLE}
     if quality == "best_effort":
-        return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+        policies["reliability"] = qos.ReliabilityPolicy.BEST_EFFORT
     if quality == "latched":
-        return qos.QoSProfile(
-            depth=depth,
-            reliability=qos.ReliabilityPolicy.RELIABLE,
-            durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-    return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.RELIABLE)
+        policies["durability"] = qos.DurabilityPolicy.TRANSIENT_LOCAL
+    return qos.QoSProfile(**policies)
 
 
 def _offered(deadline_s: float | None) -> object:
     """Return the quality of service for a publisher."""
     qos = importlib.import_module("rclpy.qos")
     if deadline_s is None:
-        return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.RELIABLE)
+        return _asked("reliable", DEPTH)
     deadline = importlib.import_module("rclpy.duration").Duration(seconds=deadline_s)
     return qos.QoSProfile(
         depth=DEPTH,

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from softfin.core.errors import LogError, one_line
+from softfin.core.errors import ArtifactError, LogError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
@@ -180,7 +180,9 @@ def recovered_path(path: Path) -> Path:
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
     """Write all readable messages to a new bag; raises LogError if there are none, and
     ArtifactError if `out` exists."""
-    artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
+    if out.resolve() == path.resolve():
+        raise ArtifactError(f"{out}: is the damaged recording itself; choose another --out")
+    artifacts.check_file(out, overwrite)
     damages = [item for item in scan(path) if isinstance(item, Damage)]
     messages = Counter[str]()
 

@@ -6,7 +6,6 @@ over the channels, not over time.
 """
 
 from collections.abc import Callable
-from math import prod
 from typing import Annotated, Any, Literal, cast
 
 import equinox as eqx
@@ -211,20 +210,6 @@ class NetworkConfig(Configuration):
     def parameters(self) -> int:
         """Return the number of trainable parameters."""
         return sum(shape.size for layer in self.shapes() for shape in layer.values())
-
-    def flops(self) -> int:
-        """Return the number of floating-point operations in the matrix products for one window,
-        counting two per multiply-add."""
-        trace = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
-        program = trace(self.shapes(), abstract(1, len(self.channels), self.window))
-        flops = 0
-        for step in program.eqns:
-            if step.primitive.name == "dot_general":
-                # Each element of the result is a sum over the contracted axes.
-                (contracted, _), _ = step.params["dimension_numbers"]
-                shape: Any = step.invars[0].aval.shape
-                flops += 2 * step.outvars[0].aval.size * prod(shape[axis] for axis in contracted)
-        return int(flops)
 
 
 POSNET = NetworkConfig(

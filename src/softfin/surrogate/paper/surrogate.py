@@ -178,11 +178,6 @@ class Surrogate(eqx.Module):
             ),
         }
 
-    def flops_per_tick(self) -> int:
-        """Return the number of floating-point operations in the matrix products per sample and
-        fin."""
-        return self.posnet.config.flops() + self.forcenet.config.flops()
-
     def parameters(self) -> int:
         """Return the number of trainable parameters of both networks."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()

@@ -5,9 +5,9 @@ All members are trained together. Force networks are trained and scored on the m
 networks predict for complete logs, because a surrogate predicts forces from commands alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.compilation import jit, map_in_threads
+from softfin.core.compilation import chain_in_threads, jit
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
@@ -108,6 +108,16 @@ class StreamingConfig(SurrogateConfig):
         return self
 
 
+class _MemberState(NamedTuple):
+    number: int
+    motion: Motion
+    """Motion predicted by the member's drive network."""
+    nets: PyTree
+    optimiser: PyTree
+    loss: np.floating
+    """Mean loss of the last call."""
+
+
 class StreamingLearner:
     """Training step of one kind of network, compiled once and run for all members in threads."""
 
@@ -132,25 +142,40 @@ class StreamingLearner:
         state: TrainingState,
         table: Table,
         predicted: Motion,
-        first: int,
-        count: int,
+        calls: Sequence[tuple[int, int]],
         key: PRNGKeyArray,
-    ) -> tuple[TrainingState, Float[np.ndarray, "members"]]:
-        """Run updates `first` to `first + count - 1` and return each member's mean loss."""
+    ) -> Iterator[tuple[TrainingState, Float[np.ndarray, "members"]]]:
+        """Yield the state and each member's mean loss after each call.
+
+        A call is the number of its first update and the number of its updates.
+        """
         # One program for all members would be slower: its products are batches of small products,
         # which XLA computes slowly on a CPU.
         arrays = jax.tree.map(np.asarray, (state.nets, state.optimiser, predicted))
+        starts = []
+        for number in range(self.config.members):
+            nets, optimiser, motion = single(arrays, number)
+            starts.append(_MemberState(number, motion, nets, optimiser, np.float32(0)))
 
-        def run_member(member: int) -> Any:
-            nets, optimiser, motion = single(arrays, member)
+        def run_member(member: _MemberState, call: tuple[int, int]) -> _MemberState:
+            first, count = call
             trained = self._program(
-                nets, optimiser, table, motion, jnp.int32(member), jnp.int32(first), count, key
+                member.nets,
+                member.optimiser,
+                table,
+                member.motion,
+                jnp.int32(member.number),
+                jnp.int32(first),
+                count,
+                key,
             )
-            return jax.tree.map(np.asarray, trained)
+            nets, optimiser, loss = jax.tree.map(np.asarray, trained)
+            return member._replace(nets=nets, optimiser=optimiser, loss=loss)
 
-        members = map_in_threads(run_member, range(self.config.members))
-        nets, optimiser, loss = jax.tree.map(lambda *x: np.stack(x), *members)
-        return state._replace(nets=nets, optimiser=optimiser), loss
+        for members in chain_in_threads(run_member, starts, calls):
+            trained = [(member.nets, member.optimiser, member.loss) for member in members]
+            nets, optimiser, loss = jax.tree.map(lambda *x: np.stack(x), *trained)
+            yield state._replace(nets=nets, optimiser=optimiser), loss
 
     def _run(
         self,
@@ -274,9 +299,10 @@ def fit_streaming(
             state = states[name]
             losses = []
             until = min(done[name] + round_of, updates[name])
-            for first in range(done[name], until, call):
-                count = min(call, until - first)
-                state, loss = learners[name].run(state, table, predicted, first, count, key)
+            calls = [(first, min(call, until - first)) for first in range(done[name], until, call)]
+            after_calls = learners[name].run(state, table, predicted, calls, key)
+            for (first, count), (after, loss) in zip(calls, after_calls, strict=True):
+                state = after
                 losses.append(loss)
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())

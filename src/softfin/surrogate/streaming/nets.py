@@ -126,11 +126,6 @@ def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inpu
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
 
-def products(net: eqx.Module) -> int:
-    """Return the number of multiplications per tick of one fin: each matrix is used once."""
-    return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
-
-
 class DriveNetConfig(Configuration):
     """Size of the drive network."""
 

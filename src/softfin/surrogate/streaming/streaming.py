@@ -35,7 +35,7 @@ from softfin.surrogate.streaming.ensemble import (
     remembered,
     single,
 )
-from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, products
+from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import name_net_arrays, restored
 
@@ -195,12 +195,6 @@ class StreamingSurrogate(eqx.Module):
                 parameters(force),
             ),
         }
-
-    def flops_per_tick(self) -> int:
-        """Return the number of floating-point operations in the matrix products per sample and fin,
-        over all members."""
-        # A multiplication and an addition per weight.
-        return 2 * products(single(self.members)) * self.size
 
     def parameters(self) -> int:
         """Return the number of trainable parameters of all members."""

@@ -9,6 +9,7 @@ import pytest
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.axia80 import sensor_pages, serve_pages
 from softfin.rig import web_page
+from softfin.rig.computer import COMPUTER
 from softfin.rig.devices.axia80.pages import (
     SETTINGS,
     parse_settings,
@@ -166,19 +167,19 @@ def test_any_bytes_are_settings_or_refused():
 
 def test_the_pages_of_the_emulator_are_read():
     with serving(sensor_pages("N", "N-mm", serial="FT12345")) as port:
-        settings = read_settings("127.0.0.1", port)
+        settings = read_settings("127.0.0.1", port, COMPUTER)
     assert settings.calsn == "FT12345"
     assert settings.scale[5] == pytest.approx(1e-9)
 
 
 def test_a_sensor_without_the_second_page_is_read_all_the_same():
     with serving({SETTINGS: page()}) as port:
-        assert read_settings("127.0.0.1", port).calsn is None
+        assert read_settings("127.0.0.1", port, COMPUTER).calsn is None
 
 
 def test_another_device_is_told_from_a_sensor():
     with serving({}) as port, pytest.raises(RigError, match="page not found"):
-        read_settings("127.0.0.1", port)
+        read_settings("127.0.0.1", port, COMPUTER)
 
 
 def test_a_device_that_is_not_there_is_said_so():

@@ -16,8 +16,8 @@ from softfin.rig.devices.axia80.rdt import (
     decode_status,
     encode_record,
     encode_request,
-    wrapped_step,
 )
+from softfin.rig.loss_estimate import wrapped_step
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 2_000
 

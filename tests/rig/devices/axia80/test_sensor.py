@@ -366,16 +366,6 @@ def test_a_second_client_takes_the_stream_and_ends_it(pair):
     assert client.complaints() == ()
 
 
-def test_the_filter_of_the_emulated_sensor_delays_if_asked():
-    with emulated() as sensor, opened(sensor) as client:
-        sensor.filter_delay_s = 0.1
-        client.zero()
-        read_for(client, 0.2)
-        sensor.fin.wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        assert read_for(client, 0.12)[-1].wrench[0] == pytest.approx(0.0, abs=0.01)
-        assert read_for(client, 0.1)[-1].wrench[0] == pytest.approx(1.0, abs=0.01)
-
-
 @pytest.mark.parametrize("step_s", [-3600.0, -0.5, 0.5, 3600.0])
 def test_a_date_that_is_set_makes_no_force_newer_than_it_is(pair, step_s):
     sensor, client = pair

@@ -656,7 +656,7 @@ def test_a_command_that_safety_lets_pass_is_taken_and_put_on_the_limit() -> None
         assert check_target(target, made.drive.config.limits) is None
         made.drive.command(target)
         assert made.until(lambda: made.drive.sync_and_read().angle == pytest.approx(1.57, abs=1e-3))
-        assert made.emulated.state.words == "operation enabled"
+        assert made.emulated.state is protocol.State.OPERATION_ENABLED
 
 
 def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch: pytest.MonkeyPatch) -> None:

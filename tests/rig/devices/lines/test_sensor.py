@@ -93,6 +93,32 @@ def test_a_restart_while_in_use_is_a_fault():
         assert "its counter went back" in sensor.complaints()[0]
 
 
+@pytest.mark.parametrize("rate_hz", [80.0, 320.0])
+@pytest.mark.parametrize("before_s", [0.0, 0.02, 0.05, 0.4])
+@pytest.mark.parametrize(
+    "columns", [("count", "force_x", "force_y"), ("skip", "force_x", "force_y")]
+)
+def test_a_board_that_restarts_when_its_port_is_opened_opens(rate_hz, before_s, columns):
+    with bench(rate_hz, columns=columns) as (emulated, sensor, clock):
+        clock.sleep(60.0)
+        opened = clock()
+
+        def restart(line):
+            # Lines from before the restart are still on their way.
+            if clock() - opened < before_s:
+                return (line,)
+            if clock() - opened < before_s + 1.6:
+                emulated.count = 0
+                return ()
+            return (line,)
+
+        emulated.transmit = restart
+        sensor.open()
+        reading = run(sensor, clock, 1.0)
+        assert reading.wrench[:2] == pytest.approx((2.0, -1.0), abs=0.01)
+        assert sensor.complaints() == ()
+
+
 def test_silence_ages_the_force_and_is_a_fault():
     with bench() as (emulated, sensor, clock):
         sensor.open()

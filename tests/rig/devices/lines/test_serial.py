@@ -1,5 +1,6 @@
 """The same over a pseudo-terminal and over real sockets, with limits that a busy computer meets."""
 
+import socket
 import time
 
 import pytest
@@ -21,12 +22,17 @@ def _patient(monkeypatch):
     monkeypatch.setattr(streamed_sensor, "FIRST_WAIT_S", HANG_S)
 
 
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
 def made(over, **changes):
     if over == "serial":
         needs.module("serial", "pyserial is not installed")
-    emulated = EmulatedLines(
-        StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, udp_port=None if over == "serial" else 0
-    )
+    udp_port = None if over == "serial" else free_port()
+    emulated = EmulatedLines(StillFin(2.0, -1.0, 0.0, 0.0, 0.0, 0.0), 80.0, udp_port=udp_port)
     values = {
         "columns": ("count", "force_x", "force_y"),
         "rate_hz": 80.0,

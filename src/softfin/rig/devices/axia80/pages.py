@@ -6,7 +6,6 @@ drivers read; the name of the serial number is unverified. We have not seen eith
 Axia80.
 """
 
-from collections.abc import Callable
 from typing import Annotated
 from xml.etree.ElementTree import ParseError
 
@@ -15,7 +14,7 @@ import pydantic
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError, one_line
-from softfin.rig.web_page import fetch_page
+from softfin.rig.computer import Computer
 
 SETTINGS = "/netftapi2.xml"
 CALIBRATION = "/netftcalapi.xml"
@@ -80,16 +79,14 @@ class SensorSettings(Configuration):
         return [self.scfgfu / self.cfgcpf] * 3 + [self.scfgtu / self.cfgcpt] * 3
 
 
-def read_settings(
-    host: str, port: int, fetch: Callable[[str, int, str], bytes | None] = fetch_page
-) -> SensorSettings:
+def read_settings(host: str, port: int, computer: Computer) -> SensorSettings:
     """Read a sensor's settings; raises DeviceError if it does not respond and RigError if its pages
     cannot be used."""
-    page = fetch(host, port, SETTINGS)
+    page = computer.fetch_page(host, port, SETTINGS)
     source = f"http://{host}:{port}{SETTINGS}"
     if page is None:
         raise RigError(f"{source}: page not found; is this the address of an Axia80?")
-    return parse_settings(page, fetch(host, port, CALIBRATION), source)
+    return parse_settings(page, computer.fetch_page(host, port, CALIBRATION), source)
 
 
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:

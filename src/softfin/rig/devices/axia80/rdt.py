@@ -72,13 +72,6 @@ def decode_record(datagram: bytes) -> RdtRecord | None:
     return RdtRecord(rdt, ft, status, tuple(counts))
 
 
-def wrapped_step(before: int, after: int) -> int:
-    """Return the difference of two 32-bit sequence numbers, allowing for wrap-around; negative if
-    the number went backwards."""
-    # Maps the difference to -2^31 .. 2^31 - 1.
-    return (after - before + 2**31) % 2**32 - 2**31
-
-
 class StatusBit(NamedTuple):
     """One bit of the status word."""
 

@@ -9,10 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.pages import read_settings
-from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtCommand, decode_status, wrapped_step
+from softfin.rig.devices.axia80.rdt import BUSY_BIT, RdtCommand, decode_status
 from softfin.rig.devices.axia80.stream import Arrival, RdtClient
+from softfin.rig.loss_estimate import wrapped_step
 from softfin.rig.streamed_sensor import FIRST_WAIT_S, RecordSource, StreamedSensor, TimedWrench
 
 RETRY_S = 0.1
@@ -78,7 +80,7 @@ class RdtSource(RecordSource):
         config = self.config
         clock = self.clock
         self._reset()
-        settings = read_settings(config.address, config.http_port, clock.fetch_page)
+        settings = read_settings(config.address, config.http_port, clock)
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
         # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.
@@ -196,3 +198,7 @@ class RdtSource(RecordSource):
         self._missing += steps - 1
         self._num_busy = self._num_busy + 1 if record.status >> BUSY_BIT & 1 else 0
         return True
+
+
+AXIA80 = ForceSensorType(Axia80Config, axia80_sensor)
+"""The type `axia80`."""

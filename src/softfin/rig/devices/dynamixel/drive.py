@@ -19,6 +19,7 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.device_type import DriveType
 from softfin.rig.devices.dynamixel import protocol, setup
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
 from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
@@ -753,3 +754,10 @@ def _is_applied(homing_offset: int) -> bool:
     """Return whether a servo applies its homing offset; in position mode, it ignores larger
     ones."""
     return abs(homing_offset) <= protocol.MAX_HOMING_OFFSET
+
+
+# The servo only answers: its faults are found by `read`, in the loop that reacts to them.
+DYNAMIXEL = DriveType(
+    DynamixelConfig, lambda config, bus, clock, on_fault: Dynamixel(config, clock)
+)
+"""The type `dynamixel`."""

@@ -8,8 +8,12 @@ emulator, not yet with a real drive.
 from collections.abc import Callable, Iterator
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
+from softfin.rig.bus import BusConfig
+from softfin.rig.computer import Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.device_type import DriveType
 from softfin.rig.devices.epos2 import procedures, protocol
+from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.devices.epos2.protocol import Bit, State
 from softfin.rig.drive_safety import UNCONFIRMED, check_fin_angle, stopped_afterwards
@@ -215,14 +219,11 @@ class Epos2(Exchange):
 
     def current_limits(self) -> CurrentLimits:
         """Return the open drive's limits for the motor's current."""
-        peak_ma, continuous_ma = (
-            procedures.read_optional(self.connection, entry)
-            for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT)
-        )
-        return CurrentLimits(
-            None if peak_ma is None else peak_ma / 1000,
-            None if continuous_ma is None else continuous_ma / 1000,
-        )
+        limits_a: list[float | None] = []
+        for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT):
+            limit_ma = procedures.read_optional(self.connection, entry)
+            limits_a.append(None if limit_ma is None else limit_ma / 1000)
+        return CurrentLimits(*limits_a)
 
     @property
     def stop_unconfirmed(self) -> str | None:
@@ -437,3 +438,17 @@ class Epos2(Exchange):
             self.trouble = str(error)
         finally:
             self.stopping.release()
+
+
+def _make(
+    config: Epos2Config,
+    bus: BusConfig | None,
+    clock: Computer,
+    on_fault: Callable[[str], None] | None,
+) -> Epos2:
+    assert bus is not None, "RigConfig requires a bus for this drive"
+    return Epos2(bus, config, clock, on_fault)
+
+
+EPOS2 = DriveType(Epos2Config, _make)
+"""The type `epos2`."""

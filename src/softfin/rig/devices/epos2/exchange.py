@@ -81,11 +81,7 @@ class DriveStatus:
     @property
     def words(self) -> str:
         """Name of the state for messages."""
-        return (
-            self.state.words
-            if self.state
-            else f"in an unknown state (statusword 0x{self.statusword or 0:04X})"
-        )
+        return protocol.describe_state(self.state, self.statusword or 0)
 
     def has(self, bit: Bit) -> bool:
         """Return whether a bit of the statusword is set."""
@@ -202,8 +198,8 @@ class Handshake:
             if acknowledged:
                 self.unanswered = 0
             else:
-                self.unanswered = self.unanswered + 1
-                self.repeated = self.repeated + 1
+                self.unanswered += 1
+                self.repeated += 1
                 # Send the unacknowledged target again, unless there is a newer one.
                 self.waiting = self.waiting or self.current
             return True

@@ -139,10 +139,9 @@ def check_setup(connection: CanConnection, config: Epos2Config) -> tuple[str, ..
     word = connection.read(protocol.STATUSWORD)
     state = protocol.decode(word)
     if state not in protocol.UNPOWERED:
-        words = state.words if state else f"in an unknown state (statusword 0x{word:04X})"
         raise RigError(
-            f"drive is already {words}; end the program that drives it, or switch the drive off "
-            "and on"
+            f"drive is already {protocol.describe_state(state, word)}; end the program that drives "
+            "it, or switch the drive off and on"
         )
     return check_settings(
         settings(config), lambda entry: read_optional(connection, entry), "EPOS Studio"

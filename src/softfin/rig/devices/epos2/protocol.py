@@ -174,11 +174,6 @@ class State(Enum):
     FAULT_REACTION_ENABLED = 0x011F
     FAULT = 0x0108
 
-    @property
-    def words(self) -> str:
-        """Name of the state for messages."""
-        return self.name.lower().replace("_", " ")
-
 
 class Bit(IntFlag):
     """Bits of the statusword that are not part of the state."""
@@ -213,6 +208,13 @@ A quick stop is always left by disabling the voltage, so that a stopped drive ne
 motion.
 """
 _STATES = {state.value: state for state in State}
+
+
+def describe_state(state: State | None, statusword: int) -> str:
+    """Return the name of the state decoded from a statusword, for messages."""
+    if state is None:
+        return f"in an unknown state (statusword 0x{statusword:04X})"
+    return state.name.lower().replace("_", " ")
 
 
 def decode(statusword: int) -> State | None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
-from softfin.rig.loss_estimate import LossEstimate
+from softfin.rig.loss_estimate import LossEstimate, wrapped_step
 from softfin.rig.machine import WRENCH_CHANNELS
 from softfin.rig.stream_clock import ShortestDelay
 
@@ -88,8 +88,7 @@ class LineCounter:
         if before is None:
             self._newest = number
             return 1
-        # Unsigned 32-bit numbers wrap around.
-        change = (number - before + 2**31) % 2**32 - 2**31
+        change = wrapped_step(before, number)
         steps = change
         if self._column != "count":
             seconds = change * COUNTERS[self._column or "count"]

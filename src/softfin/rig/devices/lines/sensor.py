@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from softfin.core.printable import printable
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
+from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
@@ -38,10 +39,11 @@ class LineSource(RecordSource):
         self.clock = clock
         self._parser = LineParser(config)
         self._reader: LineReader | None = None
-        self._reset()
+        self.restart()
 
-    def _reset(self) -> None:
-        self.counted.clear()
+    def restart(self) -> None:
+        """Forget the lines so far."""
+        super().restart()
         self._counter = LineCounter(self.config)
         self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
         self._count_s: float | None = None
@@ -60,7 +62,7 @@ class LineSource(RecordSource):
 
     def open(self) -> None:
         """Open the port; raises DeviceError."""
-        self._reset()
+        self.restart()
         transport = open_transport(self.config, self.clock)
         is_serial = self.config.port is not None
         self._reader = LineReader(transport, self.config.rate_hz, self.clock, is_serial)
@@ -170,3 +172,7 @@ class LineSource(RecordSource):
 
     def _shown_example(self) -> str:
         return repr(printable(self._example.decode("ascii", "replace"))[:60])
+
+
+LINES = ForceSensorType(LinesConfig, lines_sensor)
+"""The type `lines`."""

@@ -1,15 +1,14 @@
 """An emulated driver that publishes the force of an emulated fin as WrenchStamped."""
 
-import uuid
 from typing import NamedTuple
 
+from softfin.core.clock import Clock
 from softfin.core.json_object import JsonObject
 from softfin.emulation.fin import EmulatedFin
 from softfin.emulation.stream import EmulatedStream
-from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.computer import COMPUTER
 from softfin.rig.machine import Wrench
-from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import Publisher
+from softfin.rig.ros2.connection import Publisher, Transport
 from softfin.storage.bag.messages import SECOND_NS, WRENCH_STAMPED, cdr
 
 
@@ -25,31 +24,25 @@ class EmulatedMessage(NamedTuple):
 
 
 class EmulatedTopic(EmulatedStream[EmulatedMessage]):
-    """Emulated driver on a topic, by default a new one, so that several emulators do not meet;
-    `connection` is by DDS on this computer by default."""
+    """Emulated driver on a topic."""
 
     def __init__(
         self,
+        transport: Transport,
         fin: EmulatedFin,
         rate_hz: float,
-        clock: Computer = COMPUTER,
-        connection: TransportConfig | None = None,
-        topic: str | None = None,
+        clock: Clock = COMPUTER,
+        topic: str = "/ft_sensor/wrench",
     ) -> None:
-        self.topic = topic or f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
-        self._connection = connection or TransportConfig(transport="dds")
+        self.topic = topic
         self._started_s = clock.wall()
-        self._transport = clock.open_topics(self._connection)
-        self._publisher: Publisher | None = self._transport.publish(self.topic, WRENCH_STAMPED)
+        self._transport = transport
+        self._publisher: Publisher | None = transport.publish(topic, WRENCH_STAMPED)
         super().__init__(fin, rate_hz, clock)
 
     def address(self) -> JsonObject:
-        """Return the topic and how to reach it, as in a rig's file."""
-        connection = self._connection.model_copy(update={"domain": self._connection.domain_id()})
-        return {
-            "topic": self.topic,
-            "connection": connection.model_dump(mode="json", exclude_defaults=True),
-        }
+        """Return the topic, as in a rig's file."""
+        return {"topic": self.topic}
 
     def encode(self, age_s: float, wrench: Wrench) -> EmulatedMessage:
         """Return a message."""

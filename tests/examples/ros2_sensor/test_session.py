@@ -6,21 +6,36 @@ import pytest
 
 from softfin.core.errors import SafetyStop
 from softfin.emulation.clock import SimulatedClock
+from softfin.emulation.device import SENSORS, Emulator
 from softfin.emulation.rig import EmulatedRig
-from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.config import RigConfig
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
+from tests.examples.ros2_sensor.emulated_topic import EmulatedTopic
+from tests.examples.ros2_sensor.installed import install, simulate_topics
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.rigs import values_of
+from tests.rig.simulated_topics import SimulatedTransport
 from tests.rig.still_fin import StillFin
 
 
+def start_emulator(config, fin, clock):
+    return EmulatedTopic(SimulatedTransport(clock), fin, config.rate_hz, clock, config.topic)
+
+
+EMULATOR = Emulator(
+    {"topic": "/emulated/wrench", "rate_hz": 320.0, "filter_delay_s": 0.0}, start_emulator
+)
+
+
 @pytest.fixture
-def bench():
+def bench(monkeypatch):
     clock = SimulatedClock()
+    install(monkeypatch)
+    simulate_topics(monkeypatch, clock)
+    monkeypatch.setitem(SENSORS, "ros2", EMULATOR)
     with EmulatedRig(fin=BrakingFin(80.0, clock), clock=clock, sensor="ros2") as behind:
         config = RigConfig.build(values_of(behind))
         yield behind, Rig(config, clock)
@@ -74,7 +89,8 @@ def test_a_second_publisher_in_motion_stops_the_fin(bench):
     with Session(rig, Guard(rig.config.safety, rig.limits)) as made:
         made.activate()
         made.hold(Target(-1.5, math.pi), 40)
-        second = EmulatedTopic(StillFin(), 320.0, clock=behind.clock, topic=behind.sensor.topic)
+        transport = SimulatedTransport(behind.clock)
+        second = EmulatedTopic(transport, StillFin(), 320.0, behind.clock, behind.sensor.topic)
         with pytest.raises(SafetyStop, match=r"has 2 publishers \(node \d+, node \d+\); stop all"):
             made.hold(Target(1.5, math.pi), 33)
         second.close()

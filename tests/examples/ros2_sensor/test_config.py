@@ -1,11 +1,20 @@
 """The file of a sensor behind a ROS 2 topic."""
 
+import re
+import tomllib
+from importlib.metadata import EntryPoint
+
 import pytest
+import yaml
+from examples.ros2_sensor.softfin_ros2_sensor import TopicSensorConfig
 
 from softfin.core.errors import ConfigurationError
 from softfin.rig.config import RigConfig
 from softfin.rig.device import is_address
-from softfin.rig.devices.ros2.config import TopicSensorConfig
+from softfin.rig.device_type import ForceSensorType
+from softfin.rig.devices.registry import GROUP
+from tests.documents import ROOT
+from tests.examples.ros2_sensor.installed import install
 from tests.rig.rigs import simulated
 
 VALUES = {
@@ -42,7 +51,8 @@ def test_what_depends_on_the_sensor_has_no_default(name):
         TopicSensorConfig.build(values)
 
 
-def test_a_sensor_too_slow_for_the_loop_is_refused():
+def test_a_sensor_too_slow_for_the_loop_is_refused(monkeypatch):
+    install(monkeypatch)
     with simulated() as behind:
         values = behind.values(sensor=VALUES | {"rate_hz": 10})
     with pytest.raises(ConfigurationError, match=r"at 10 records per second .* use 0\.31 or more"):
@@ -54,3 +64,21 @@ def test_a_sensor_too_slow_for_the_loop_is_refused():
 def test_another_domain_is_another_address_but_another_topic_is_another_sensor():
     assert is_address("connection")
     assert not is_address("topic")
+
+
+def test_the_installed_package_has_an_entry_point_for_its_type(monkeypatch):
+    folder = ROOT / "examples/ros2_sensor"
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    (name, value), *others = project["entry-points"][GROUP].items()
+    assert not others
+    monkeypatch.syspath_prepend(folder)
+    device = EntryPoint(name, value, GROUP).load()
+    assert isinstance(device, ForceSensorType)
+    assert device.config.build(VALUES).type == name
+
+
+def test_the_readme_shows_a_sensor_that_its_type_takes():
+    text = (ROOT / "examples/ros2_sensor/README.md").read_text()
+    (shown,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    sensor = yaml.safe_load(shown)["sensor"]
+    assert TopicSensorConfig.build(sensor).connection.network == sensor["connection"]["network"]

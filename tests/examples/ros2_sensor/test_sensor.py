@@ -5,14 +5,15 @@ from contextlib import contextmanager
 from math import inf, nan
 
 import pytest
+from examples.ros2_sensor.softfin_ros2_sensor import TopicSensorConfig, topic_sensor
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.topic import EmulatedTopic
-from softfin.rig.devices.ros2.config import TopicSensorConfig
-from softfin.rig.devices.ros2.sensor import topic_sensor
 from softfin.storage.bag.messages import SECOND_NS
 from softfin.testing import check_force_sensor
+from tests.examples.ros2_sensor.emulated_topic import EmulatedTopic
+from tests.examples.ros2_sensor.installed import simulate_topics
+from tests.rig.simulated_topics import SimulatedTransport
 from tests.rig.still_fin import StillFin
 
 LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
@@ -22,14 +23,16 @@ TOPIC = "/ft_sensor/wrench"
 @contextmanager
 def bench(rate_hz=320.0, **changes):
     clock = SimulatedClock()
-    emulated = EmulatedTopic(StillFin(*LOAD), rate_hz, clock, topic=TOPIC)
+    emulated = EmulatedTopic(SimulatedTransport(clock), StillFin(*LOAD), rate_hz, clock, TOPIC)
     values = {"rate_hz": rate_hz, "filter_delay_s": 0.0, "frame": "y,-x", "topic": TOPIC}
     sensor = topic_sensor(TopicSensorConfig.build(values | changes), clock)
-    try:
-        yield emulated, sensor, clock
-    finally:
-        sensor.close()
-        emulated.close()
+    with pytest.MonkeyPatch.context() as patches:
+        simulate_topics(patches, clock)
+        try:
+            yield emulated, sensor, clock
+        finally:
+            sensor.close()
+            emulated.close()
 
 
 def run(sensor, clock, seconds):
@@ -374,7 +377,7 @@ def test_two_publishers_on_one_topic_are_refused_and_are_a_fault_later_on():
     with bench() as (_, sensor, clock):
         sensor.open()
         run(sensor, clock, 0.2)
-        second = EmulatedTopic(StillFin(*LOAD), 320.0, clock, topic=TOPIC)
+        second = EmulatedTopic(SimulatedTransport(clock), StillFin(*LOAD), 320.0, clock, TOPIC)
         try:
             run(sensor, clock, 0.01)
             assert len(set(sensor.complaints())) == 1

@@ -8,15 +8,18 @@ because neither their age nor lost messages could be noticed.
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
-from softfin.rig.computer import COMPUTER, Computer
+from softfin.core.clock import Clock
+from softfin.rig.computer import COMPUTER
 from softfin.rig.device import CheckResult
-from softfin.rig.devices.ros2.config import TopicSensorConfig
+from softfin.rig.device_type import ForceSensorType
 from softfin.rig.loss_estimate import LossEstimate
 from softfin.rig.machine import Wrench
+from softfin.rig.ros2.config import TopicName, TransportConfig
 from softfin.rig.ros2.connection import (
     Subscription,
     Transport,
@@ -24,11 +27,13 @@ from softfin.rig.ros2.connection import (
     read_stamp,
     read_wrench,
 )
+from softfin.rig.ros2.plant import open_transport
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
     MALFORMED_RECORDS,
     RecordSource,
     StreamedSensor,
+    StreamedSensorConfig,
     TimedWrench,
     queue_length,
 )
@@ -42,7 +47,27 @@ SAME_CLOCK_S = 1.0
 another clock [s]."""
 
 
-def topic_sensor(config: TopicSensorConfig, clock: Computer = COMPUTER) -> StreamedSensor:
+class TopicSensorConfig(StreamedSensorConfig):
+    """A sensor whose driver publishes geometry_msgs/WrenchStamped, one message per sample, each
+    with the time of its sample in `header.stamp`.
+
+    `filter_delay_s` is the total delay from the force until a message arrives, without that of the
+    network: that of the sensor's and the driver's filters, and of the driver itself.
+    """
+
+    type: Literal["ros2"] = "ros2"
+    """A topic of ROS 2."""
+    topic: TopicName
+    """Topic of the messages, e.g. /ft_sensor/wrench; may have only one publisher."""
+    frame_id: str | None = Field(None, min_length=1)
+    """Frame in the messages' headers, others than which are rejected; None accepts any frame."""
+    connection: TransportConfig = Field(
+        default_factory=lambda: TransportConfig(node="softfin_sensor")
+    )
+    """How to reach the driver."""
+
+
+def topic_sensor(config: TopicSensorConfig, clock: Clock = COMPUTER) -> StreamedSensor:
     """Return a force sensor behind a topic."""
     return StreamedSensor(config, TopicSource(config, clock), clock)
 
@@ -53,7 +78,7 @@ class TopicSource(RecordSource):
     unit = "message"
     remedy = "check its driver and the network"
 
-    def __init__(self, config: TopicSensorConfig, clock: Computer) -> None:
+    def __init__(self, config: TopicSensorConfig, clock: Clock) -> None:
         super().__init__(config.topic, "ros2", config.connection.domain, config.topic)
         self.config = config
         self.clock = clock
@@ -76,7 +101,7 @@ class TopicSource(RecordSource):
         """Subscribe to the topic; raises RigError or DeviceError."""
         self._reset()
         config = self.config
-        self._transport = self.clock.open_topics(config.connection)
+        self._transport = open_transport(config.connection)
         # Best effort matches every publisher, and a message that is sent again would be too late.
         self._messages = Subscription(
             self._transport,
@@ -177,3 +202,7 @@ class TopicSource(RecordSource):
         self._newest = time
         self.counted["lost"] += missing
         return TimedWrench(np.array(wrench), missing, time)
+
+
+ROS2 = ForceSensorType(TopicSensorConfig, topic_sensor)
+"""The type `ros2`, named by the entry point in pyproject.toml."""

@@ -2,16 +2,16 @@
 
 import os
 import time
+import uuid
 
 import pytest
+from examples.ros2_sensor.softfin_ros2_sensor import TopicSensorConfig, TopicSource, topic_sensor
 
 from softfin.core.errors import RigError
-from softfin.emulation.topic import EmulatedTopic
 from softfin.rig.computer import COMPUTER
-from softfin.rig.devices.ros2.config import TopicSensorConfig
-from softfin.rig.devices.ros2.sensor import TopicSource, topic_sensor
 from softfin.rig.ros2.config import TransportConfig
 from tests import needs
+from tests.examples.ros2_sensor.emulated_topic import EmulatedTopic
 from tests.patience import HANG_S, wait_until
 from tests.rig.still_fin import StillFin
 
@@ -32,14 +32,16 @@ LOAD = (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)
 @pytest.fixture
 def emulated(monkeypatch):
     monkeypatch.setattr(streamed_sensor, "FIRST_WAIT_S", HANG_S)
-    topic = EmulatedTopic(StillFin(*LOAD), 80.0, connection=CONNECTION)
+    name = f"/emulated_{uuid.uuid4().hex[:8]}/wrench"
+    topic = EmulatedTopic(open_transport(CONNECTION), StillFin(*LOAD), 80.0, topic=name)
     yield topic
     topic.close()
 
 
 @pytest.fixture
 def sensor(emulated):
-    values = {"rate_hz": 80.0, "filter_delay_s": 0.0, "frame": "y,-x"}
+    connection = CONNECTION.model_dump()
+    values = {"rate_hz": 80.0, "filter_delay_s": 0.0, "frame": "y,-x", "connection": connection}
     made = topic_sensor(TopicSensorConfig.build(values | emulated.address()))
     yield made
     made.close()
@@ -70,7 +72,8 @@ def test_a_driver_that_ends_is_a_fault(emulated, sensor):
 
 def test_a_second_driver_on_the_topic_is_a_fault_that_names_both_processes(emulated, sensor):
     sensor.open()
-    second = EmulatedTopic(StillFin(*LOAD), 80.0, connection=CONNECTION, topic=emulated.topic)
+    transport = open_transport(CONNECTION)
+    second = EmulatedTopic(transport, StillFin(*LOAD), 80.0, topic=emulated.topic)
     try:
         await_complaint(sensor, "has 2 publishers (")
         (complaint,) = (line for line in sensor.complaints() if "publishers" in line)

@@ -1,8 +1,8 @@
 """Topics in simulated time."""
 
 from softfin.emulation.clock import SimulatedClock
-from softfin.emulation.ros2 import SimulatedTransport
 from softfin.rig.ros2.connection import BOOL, Transport
+from tests.rig.simulated_topics import SimulatedTransport
 
 
 def test_messages_reach_the_readers_of_their_topic_and_type_until_the_publisher_leaves():

@@ -1,1 +1,0 @@
-"""A force sensor whose driver publishes WrenchStamped messages on a ROS 2 topic."""
