@@ -264,8 +264,8 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
     )
     fix = (
         "set the encoder's zero at the fin's rest position, so that it does not wrap within the "
-        "fin's range, and record again; with --ignore-errors, the angle is unwrapped so that its "
-        "median is close to 0"
+        "fin's range, and record again; with --ignore-errors wraps, the angle is unwrapped so that "
+        "its median is close to 0"
     )
     issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
     angle = unwrapped(track.channels["angle"])
