@@ -107,12 +107,17 @@ SAME = {
     "UTF-16 without a mark": DEGREES.encode("utf-16-le"),
     "UTF-8 with a mark": DEGREES.encode("utf-8-sig"),
     "carriage returns": PLAIN.replace("\n", "\r"),
+    "bars": PLAIN.replace(",", "|"),
     "spaces": in_columns(PLAIN),
     "spaces within names": PLAIN.replace(",", "    "),
     "dates": with_times(str),
     "dates with T": with_times(datetime.datetime.isoformat),
     "dates with AM and PM": with_times(half_days, "Date Time"),
     "dates and times": with_times(lambda moment: str(moment).replace(" ", ","), "Date,Time"),
+    "minutes": with_times(lambda moment: moment.strftime("%M:%S.%f"), "time"),
+    "milliseconds after a colon": with_times(
+        lambda moment: moment.strftime("%H:%M:%S:%f")[:-3], "time"
+    ),
     "dates, decimal commas": with_times(str).replace(",", ";").replace(".", ","),
 }
 
@@ -239,7 +244,7 @@ def test_a_multiple_of_a_unit_is_converted(tmp_path, unit):
     )
 
 
-@pytest.mark.parametrize("column", ["Fx [stone]", "Fx (counts)", "Fx_raw", "Fx [deg]", "Fx {mV}"])
+@pytest.mark.parametrize("column", ["Fx [stone]", "Fx (counts)", "Fx_raw", "Fx [deg]", "Fx mV"])
 @pytest.mark.parametrize("below", [False, True])
 def test_a_unit_that_is_not_known_is_never_taken_for_newtons(tmp_path, column, below):
     header = [*HEADER[:5], column, HEADER[6]]
@@ -254,6 +259,14 @@ def test_a_unit_that_is_not_known_is_never_taken_for_newtons(tmp_path, column, b
     (recording,) = read(tmp_path / "run.csv", table, force_unit="mN")
     found = recording.tracks[0].channels["force_x"]
     np.testing.assert_allclose(found, series()[5] / 1e3, atol=1e-8)
+
+
+@pytest.mark.parametrize("column", ["Fx_stone", "Fx stone", "force_x_stone"])
+def test_a_word_behind_a_mapped_name_is_not_taken_for_newtons(tmp_path, column):
+    table = PLAIN.replace("Fx [N]", column)
+    with pytest.raises(LogError, match="unknown unit 'stone'"):
+        read(tmp_path / "run.csv", table, columns=f"force_x={column}")
+    read(tmp_path / "run.csv", table, columns=f"force_x={column}", force_unit="N")
 
 
 def test_rostopic_echo_writes_its_time_in_nanoseconds(tmp_path):

@@ -15,16 +15,10 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.names import CHANNELS, UNITS
-from softfin.data.issues import Issue, Severity, counted
+from softfin.data.issues import ODD_SHARE, Issue, counted, row_severity
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
 COMMAND_CHANNELS = {"command_angle", "command_velocity"}
-
-ODD = 0.05
-"""Share of rows without a valid time or value, above which a recording has an error."""
-
-MAX_ROWS_PER_TIME = 100
-"""Number of rows with the same time from which a clock is of no use at all."""
 
 RATES_HZ = (5.0, 20_000.0)
 """Plausible sampling rates [Hz]; outside this range, the time unit must be wrong."""
@@ -178,7 +172,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     issues += found
     if is_command:
         return valid, issues
-    _check_digits(finite, len(valid.time), name)
+    _check_digits(finite, valid, name)
     # Unwrap first: derivatives, filters and interpolation must not see the jumps.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
@@ -199,7 +193,7 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
             is_finite[bad] = False
             message = f"missing or non-finite values in {bad.size:,} of {len(values):,} rows"
             fix = f"these rows are dropped, and gaps over {config.gap_s:g} s split the log"
-            severity = _severity(bad.size, len(values))
+            severity = row_severity(bad.size, len(values))
             issues.append(Issue(severity, "not a number", name, message, fix, channel, int(bad[0])))
     return track.take(is_finite), np.flatnonzero(is_finite), issues
 
@@ -219,7 +213,7 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
     fix = "rows that are not later than all previous rows are dropped; sort the rows by time"
     repeated = int((np.diff(track.time) == 0).sum())
     span_s = float(track.time[-1] - track.time[0])
-    if repeated > ODD * len(forward) and span_s > 0:
+    if repeated > ODD_SHARE * len(forward) and span_s > 0:
         kind = "coarse clock"
         message = (
             f"the clock is coarser than the rows: {repeated:,} of {len(forward):,} rows have the "
@@ -230,23 +224,20 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
             f"if the rows of a table are evenly spaced, use --rate {rate:.4g} --columns time=-; "
             "otherwise, record the time with more digits"
         )
-    severity = _severity(late.size, len(forward))
+    severity = row_severity(late.size, len(forward))
     issue = Issue(severity, kind, name, message, fix, "time", int(rows[late[0]]))
     return track.take(forward), rows[forward], [issue]
 
 
-def _severity(num_odd: int, num_rows: int) -> Severity:
-    """Return the severity of rows that are dropped: a few in a recording are usual."""
-    return "error" if num_odd > ODD * num_rows else "warning"
-
-
-def _check_digits(track: Track, num_times: int, name: str) -> None:
-    """Raise LogError if a clock has so few digits that it stays at one time, or nearly so."""
-    rows = len(track.time)
-    if num_times > 1 and rows < MAX_ROWS_PER_TIME * num_times:
-        return
+def _check_digits(track: Track, valid: Track, name: str) -> None:
+    """Raise LogError if a clock has so few digits that most rows have the time of another one."""
+    num_times = len(valid.time)
+    if num_times > 1:
+        step_s = float(np.median(np.diff(valid.time)))
+        if num_times > len(track.time) / 2 or step_s <= 1 / RATES_HZ[0]:
+            return
     raise LogError(
-        f"{name}: time has too few digits: {rows:,} rows have "
+        f"{name}: time has too few digits: {len(track.time):,} rows have "
         f"{counted(num_times, 'different time')} (6 digits or single precision cannot resolve a "
         "time since 1970); if the rows of a table are evenly spaced, use --rate 100 --columns "
         "time=- for one row every 10 ms"

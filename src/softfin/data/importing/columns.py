@@ -76,6 +76,9 @@ def _column(channel: str, name: str, config: ImportConfig) -> Column:
     if unit is not None:
         return Column(name, unit, True)
     unknown = split_unknown_unit(name, kind)
+    rest, _, last = name.replace("_", " ").rpartition(" ")
+    if unknown is None and last.isalpha() and read_name(rest) and not read_name(name):
+        unknown = rest, last
     return Column(name, SI[kind], False, unknown[1] if unknown else "")
 
 

@@ -121,7 +121,7 @@ def format_options(config: ImportConfig) -> str:
             value = ",".join(f'"{pair}"' if "," in pair else pair for pair in pairs)
         elif isinstance(value, list):
             value = ",".join(value)
-        words.append(f"--{option_name(field)}={shlex.quote(str(value))}")
+        words.append(f"--{option_name(field)}={shlex.quote(str(value).removesuffix('.0'))}")
     return " ".join(words)
 
 

@@ -19,14 +19,14 @@ from softfin.data.importing.columns import (
     describe_columns,
 )
 from softfin.data.importing.importing import ANGLES, ImportConfig
-from softfin.data.importing.names import CHANNELS, FURTHER, OWN_NAMES
+from softfin.data.importing.names import CHANNELS, OWN_NAMES
 from softfin.data.importing.text_table import DECIMAL, Table, read_text_table
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
-TIME_OF_DAY = r"(?P<hours>\d+):(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,]\d+)?)"
-"""Time of day, with or without a date."""
+TIME_OF_DAY = r"(?:(?P<hours>\d+):)?(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,:]\d+)?)"
+"""Time of day, with or without a date or hours."""
 
 HALF_DAY_S = 43_200.0
 
@@ -44,11 +44,13 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     issues = list(table.issues)
     numbers: Channels = {}
     for channel, column in list(found.items()):
-        if channel in FURTHER and not _is_usable(table, column):
+        try:
+            numbers[channel], found[channel] = _read_column(table, channel, column, path)
+        except LogError:
+            if channel in CHANNELS:
+                raise
             # A column of text with the name of a further channel is some other thing.
             del found[channel]
-            continue
-        numbers[channel], found[channel] = _read_column(table, channel, column, path)
         if channel in ANGLES:
             numbers[channel], found_unsigned = _signed(numbers[channel], channel, name)
             issues += found_unsigned
@@ -120,14 +122,6 @@ def _read_parquet(path: Path) -> Table:
     return Table(names, columns, [0], [])
 
 
-def _is_usable(table: Table, column: Column) -> bool:
-    """Whether a column contains numbers."""
-    values = table.columns[table.names.index(column.name)]
-    return _is_numeric(values.type) or bool(
-        pa.types.is_string(values.type) and np.isfinite(_parse(values)).any()
-    )
-
-
 def _is_numeric(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
@@ -178,13 +172,14 @@ def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
 
 def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
     """Parse times of day as seconds that continue at midnight and noon."""
-    parts = pc.extract_regex(column, TIME_OF_DAY)
-    hours, minutes, seconds = map(_parse, parts.flatten())
-    times = np.asarray(3600 * hours + 60 * minutes + seconds)
+    parts = pc.extract_regex(column, TIME_OF_DAY).flatten()
+    hours, minutes, seconds = [_parse(pc.replace_substring(part, ":", ".")) for part in parts]
+    times = np.asarray(3600 * np.nan_to_num(hours) + 60 * minutes + seconds)
     # The date is not needed: where it changes, the time goes back by 24 hours, or by 12 with AM
-    # and PM.
+    # and PM. Without hours, it goes back by one.
+    period = HALF_DAY_S if np.isfinite(hours).any() else 3600
     is_valid = np.isfinite(times)
-    times[is_valid] = np.unwrap(times[is_valid], period=HALF_DAY_S)
+    times[is_valid] = np.unwrap(times[is_valid], period=period)
     return times
 
 
@@ -193,15 +188,13 @@ def _signed(
 ) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
     """Return integers that a drive recorded without their sign, such as -1 as 65535, with it."""
     finite = values[np.isfinite(values)]
-    steps = np.abs(np.diff(finite))
-    for full in (2.0**16, 2.0**32):
-        is_integer = finite.min() >= 0 and finite.max() < full and not (finite % 1).any()
-        if is_integer and steps.max(initial=0) > full / 2:
-            negative = values >= full / 2
-            text = f"{negative.sum():,} values of an unsigned integer are read as negative"
-            issue = Issue("note", "unsigned", name, text, column=channel)
-            return values - full * negative, [issue]
-    return values, []
+    full = 2.0**16 if finite.max() < 2**16 else 2.0**32
+    is_unsigned = finite.min() >= 0 and finite.max() < full and not (finite % 1).any()
+    if not is_unsigned or np.abs(np.diff(finite)).max(initial=0) < full / 2:
+        return values, []
+    negative = values >= full / 2
+    text = f"{negative.sum():,} values of an unsigned integer are read as negative"
+    return values - full * negative, [Issue("note", "unsigned", name, text, column=channel)]
 
 
 def _own_channels(table: Table, found: dict[str, Column]) -> list[str]:

@@ -16,9 +16,9 @@ import pyarrow.csv
 from softfin.core.errors import LogError, NotALogError, one_line
 from softfin.core.printable import printable
 from softfin.data.importing.names import OWN_NAMES, SPELLED, read_name
-from softfin.data.issues import Issue, counted
+from softfin.data.issues import Issue, counted, row_severity
 
-DELIMITERS = (",", ";", "\t", " ")
+DELIMITERS = (",", ";", "\t", "|", " ")
 
 DECIMAL = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 
@@ -82,7 +82,8 @@ def read_text_table(path: Path, name: str) -> Table:
             f"row {row}: {printable(line, most=60)!r}"
         )
         fix = "check the end of the recording, or whether other text was written to the file"
-        issues.append(Issue("warning", "dropped rows", name, message, fix, row=row))
+        severity = row_severity(len(dropped), len(columns[0]))
+        issues.append(Issue(severity, "dropped rows", name, message, fix, row=row))
     is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
     starts = [0]
     for number, row in enumerate(pc.indices_nonzero(is_header).to_pylist()):
