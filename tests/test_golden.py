@@ -157,7 +157,8 @@ def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "saved.mcap")
     cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--out", out, "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
-    softfin.import_logs(GOLDEN / "session.mcap", out=tmp_path / "dataset", ignore_errors=True)
+    options = softfin.ImportConfig(ignore_errors="all")
+    softfin.import_logs(GOLDEN / "session.mcap", out=tmp_path / "dataset", recordings=options)
     dataset = softfin.Dataset.open(tmp_path / "dataset")
     found = [summary(log) for log in dataset.load(dataset.train)]
     np.testing.assert_allclose(found, EXPECTED["bag"], **EXACT)
@@ -235,13 +236,8 @@ def test_a_dataset_and_a_recording_with_numbers(tmp_path: Path) -> None:
     assert dataset.data_hash == expected["data_hash"]
     found = [summary(log) for log in dataset.load((*dataset.train, *dataset.test))]
     np.testing.assert_allclose(found, expected["dataset"], **EXACT)
-    options = softfin.ImportConfig(shortest_s=1)
-    softfin.import_logs(
-        NUMBERED / "session.mcap",
-        out=tmp_path / "dataset",
-        recordings=options,
-        ignore_errors=True,
-    )
+    options = softfin.ImportConfig(shortest_s=1, ignore_errors="all")
+    softfin.import_logs(NUMBERED / "session.mcap", out=tmp_path / "dataset", recordings=options)
     recorded = softfin.Dataset.open(tmp_path / "dataset")
     np.testing.assert_allclose(
         [summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT

@@ -139,13 +139,13 @@ def faulty(index):
 
 def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, asked):
     for accepted in (False, True):
-        metadata = {"ignore_errors": accepted}
+        metadata = {"options": {"ignore_errors": ["degrees"] if accepted else []}}
         write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], metadata, overwrite=accepted)
         words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
         if accepted:
             main(words)
         else:
-            assert "use --ignore-errors to use these logs anyway" in fails(capsys, *words)
+            assert "use --ignore-errors degrees to use these logs anyway" in fails(capsys, *words)
     assert len(asked) == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "softfin inspect" in line]
     assert line.startswith(f"{tmp_path / 'd'}: 1 error")

@@ -1,4 +1,6 @@
 import json
+import shlex
+import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -57,7 +59,33 @@ def test_inspect_says_what_is_wrong_and_how_to_get_out_of_it(authors, capsys):
     assert "degrees, not rad" in text
     assert "-> --angles deg" in text
     assert "-> --force=y,x" in text
-    assert "fit and import-logs reject logs with errors unless you add --ignore-errors" in text
+    assert text.splitlines()[-1].endswith("unless you add --ignore-errors degrees,force-axes")
+
+
+def test_the_last_line_of_inspect_is_a_command_with_its_options(authors, tmp_path, capsys):
+    words = options("--angles", "deg", "--force=y,x", "--ignore-errors", "degrees,force-lag")
+    assert softfin("inspect", authors, *words) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    command = shlex.split(last.partition("softfin ")[2])
+    assert command[:2] == ["fit", str(authors)]
+    assert command[-2:] == ["--out", "surrogate"]
+    command[0] = "import-logs"
+    command[-1] = str(tmp_path / "d")
+    assert softfin(*command) == 0
+    saved = Dataset.open(tmp_path / "d").description["options"]
+    assert saved["columns"]["angle"] == "position"
+    assert saved["ignore_errors"] == ["degrees", "force-lag"]
+
+
+def test_options_that_inspect_saves_need_not_be_typed_again(authors, tmp_path):
+    logs = tmp_path / "logs"
+    shutil.copytree(authors, logs)
+    assert softfin("inspect", logs, *options("--angles", "deg", "--force=y,x", "--save")) == 0
+    assert softfin("import-logs", logs, "--out", tmp_path / "d") == 0
+    expected = options("--angles", "deg", "--force=y,x", "--out", tmp_path / "e")
+    assert softfin("import-logs", authors, *expected) == 0
+    found, wanted = (Dataset.open(tmp_path / name).description["options"] for name in "de")
+    assert found == wanted
 
 
 def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
@@ -92,13 +120,12 @@ def test_import_refuses_errors_and_writes_nothing(authors, tmp_path, capsys):
 
 
 def test_import_takes_them_as_they_are_when_errors_are_ignored(authors, tmp_path):
-    assert (
-        softfin("import-logs", authors, *options("--out", tmp_path / "d", "--ignore-errors")) == 0
-    )
+    words = options("--out", tmp_path / "d", "--ignore-errors", "degrees,force-axes")
+    assert softfin("import-logs", authors, *words) == 0
     data = Dataset.open(tmp_path / "d")
     (log,) = data.load(data.test)
     assert np.abs(log.reading.angle).max() > 10
-    assert data.description["ignore_errors"] is True
+    assert data.description["options"]["ignore_errors"] == ["degrees", "force-axes"]
     assert data.description["issues"][0]["name"] == "degrees"
 
 

@@ -96,9 +96,9 @@ def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given
     columns["velocity_rad_s"][:] = 0
     write_bag(folder / "joint", topics_of(columns))
     with pytest.raises(LogError, match=r"^logs: joint, .*--columns velocity=- "):
-        open_logs(folder).check_issues("logs", ignore_errors=False)
+        open_logs(folder).check_issues("logs")
     opened = open_logs(folder, ImportConfig.build({"columns": "velocity=-"}))
-    opened.check_issues("logs", ignore_errors=False)
+    opened.check_issues("logs")
     assert all(np.ptp(log.reading.velocity) > 1 for log in opened.train)
 
 
@@ -175,14 +175,41 @@ def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
     def opened(*issues):
         return OpenedLogs((), Inspection(list(issues), []), "", {})
 
-    opened(issue("warning", "a"), issue("note", "b")).check_issues("runs", False)
+    opened(issue("warning", "a"), issue("note", "b")).check_issues("runs")
     errors = opened(issue("error", "a"), issue("error", "b"), issue("error", "c"))
-    errors.check_issues("runs", True)
+    errors.check_issues("runs", ("all",))
+    errors.check_issues("runs", ("c", "b", "a"))
+    with pytest.raises(LogError, match="--ignore-errors b,c "):
+        errors.check_issues("runs", ("a",))
     with pytest.raises(LogError) as error:
-        errors.check_issues("runs", False)
+        errors.check_issues("runs")
     message = str(error.value)
     assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; ")
-    assert all(words in message for words in ("--angles deg", "2 more", "--ignore-errors"))
+    assert all(words in message for words in ("--angles deg", "2 more", "--ignore-errors a,b,c "))
+
+
+def test_an_error_of_two_words_is_ignored_by_either_spelling_and_others_are_not():
+    errors = [Issue("error", name, "run.csv", "") for name in ("force axes", "force lag")]
+    for name in ("force axes", "force-axes"):
+        config = ImportConfig.build({"ignore_errors": name})
+        opened = OpenedLogs((), Inspection(errors, []), "", {}, config)
+        assert [issue.name for issue in opened.remaining_errors()] == ["force lag"]
+        with pytest.raises(LogError, match="--ignore-errors force-lag "):
+            opened.check_issues("runs")
+
+
+def test_options_saved_beside_the_logs_are_read_and_those_given_win(tmp_path, logs):
+    path = folder_option(tmp_path / "all", logs)
+    (path / "log.yaml").write_text("force: y,x\ncolumns:\n  angle: angle_rad\n")
+    opened = open_logs(path, ImportConfig.build({"columns": "velocity=-"}))
+    assert opened.config.force == "y,x"
+    assert opened.config.columns == {"angle": "angle_rad", "velocity": "-"}
+    assert open_logs(path, ImportConfig(force="x,y")).config.force == "x,y"
+    assert open_logs(path / "run0.csv").config.force == "y,x"
+    assert open_logs(path).data_hash == open_logs(path, ImportConfig(force="y,x")).data_hash
+    (path / "log.yaml").write_text("forse: y,x\n")
+    with pytest.raises(ConfigurationError, match=r"log\.yaml"):
+        open_logs(path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="without pipes in folders")

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 ReproducePreset: TypeAlias = Literal["demo", "paper", "tiny"]
 CalibratePreset: TypeAlias = Literal["full", "quick"]
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
-ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
+ForceUnit: TypeAlias = Literal["N", "mN", "cN", "kN", "gf", "kgf", "lbf", "ozf"]
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
 """One policy for all references, or one policy per cell of a grid."""

@@ -22,6 +22,10 @@ class LogError(InputError):
     """A recording that cannot be used for training."""
 
 
+class NotALogError(LogError):
+    """A file does not contain a log."""
+
+
 class ArtifactError(InputError):
     """A folder that is not a complete dataset, surrogate or controller."""
 

@@ -40,6 +40,15 @@ class Issue:
         return place
 
 
+ODD_SHARE = 0.05
+"""Share of the rows that cannot be used above which this is an error."""
+
+
+def row_severity(num_odd: int, num_rows: int) -> Severity:
+    """Return the severity of rows that are dropped: a few in a recording are usual."""
+    return "error" if num_odd > ODD_SHARE * num_rows else "warning"
+
+
 def counted(number: int, noun: str) -> str:
     """Return the number with its noun, e.g. ``1 spike`` or ``3 spikes``."""
     return f"{number:,} {noun}{'s' * (number != 1)}"

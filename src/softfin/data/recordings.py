@@ -6,10 +6,11 @@ Shared by `softfin inspect`, `softfin import-logs` and `softfin fit`.
 import dataclasses
 import fnmatch
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.configuration import read_yaml
+from softfin.core.errors import ConfigurationError, LogError, NotALogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
@@ -34,6 +35,8 @@ class OpenedLogs:
     """Hash of the dataset; for other recordings, SHA-256 of the files and the import options."""
     metadata: JsonObject
     """Files, options and issues, to be written to ``dataset.json``."""
+    config: ImportConfig = dataclasses.field(default_factory=ImportConfig)
+    """Options with which the logs were read: those given, and those saved beside the logs."""
 
     @property
     def train(self) -> list[Log]:
@@ -53,18 +56,45 @@ class OpenedLogs:
                 "--test PATTERN, which selects the test logs"
             )
 
-    def check_issues(self, source: str, ignore_errors: bool) -> None:
-        """Raise LogError with the first error and the number of others, unless `ignore_errors` is
-        set."""
-        errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
-        if not errors or ignore_errors:
+    def check_issues(self, source: str, ignored: Collection[str] = ()) -> None:
+        """Raise LogError with the first error and the number of others, except for those that are
+        ignored by name."""
+        errors = self.remaining_errors(ignored)
+        if not errors:
             return
         text = f"{errors[0].place}: {errors[0].message}"
         if errors[0].fix:
             text += f"; {errors[0].fix}"
         if len(errors) > 1:
             text += f"; {counted(len(errors) - 1, 'more error')} (softfin inspect lists all)"
-        raise LogError(f"{source}: {text}; use --ignore-errors to use these logs anyway")
+        raise LogError(f"{source}: {text}; use {ignoring(errors)} to use these logs anyway")
+
+    def remaining_errors(self, ignored: Collection[str] = ()) -> list[Issue]:
+        """Return the errors that are not ignored by name."""
+        names = {name.replace("-", " ") for name in (*ignored, *self.config.ignore_errors)}
+        errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
+        return [] if "all" in names else [issue for issue in errors if issue.name not in names]
+
+
+def ignoring(errors: Iterable[Issue]) -> str:
+    """Return the option that ignores these errors."""
+    names = dict.fromkeys(issue.name.replace(" ", "-") for issue in errors)
+    return f"--ignore-errors {','.join(names)}"
+
+
+def options_file(path: Path) -> Path:
+    """Return the file with the import options of the recordings at `path`, which need not exist."""
+    folder = path if path.is_dir() and not is_bag(path) else path.parent
+    return folder / "log.yaml"
+
+
+def _saved_options(path: Path, given: ImportConfig | None) -> ImportConfig:
+    """Return the options saved beside the recordings, with those given, which win."""
+    file = options_file(path)
+    saved = ImportConfig()
+    if file.is_file() and not artifacts.is_kind(path, "dataset"):
+        saved = saved.merged(read_yaml(file), str(file))
+    return saved.merged(given.model_dump(exclude_unset=True), "options") if given else saved
 
 
 def open_logs(
@@ -72,34 +102,36 @@ def open_logs(
 ) -> OpenedLogs:
     """Read and inspect all recordings at `path`; raises LogError or ArtifactError if they cannot be
     read."""
-    config = config or ImportConfig()
+    config = _saved_options(path, config)
     # Reject a dataset that was changed after it was written before reading anything.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
     files = {file: _name(file, path) for file in find_recordings(path)}
     parts = _parts(list(files.values()), config.test)
     logs: list[NamedLog] = []
     issues: list[Issue] = []
+    refusals: list[LogError] = []
     for index, (file, name) in enumerate(files.items()):
-        if is_bag(file):
-            # Imported late: the bag reader is only loaded if there are bags.
-            from softfin.data.importing.rosbag import read_bag
-
-            recordings = [read_bag(file, name, parts[name], config)]
+        try:
+            some, found = _read(file, name, parts[name], config)
+        except LogError as error:
+            # One file that is no log does not make the others useless.
+            refusals.append(error)
+            found = [_refusal(error, name)]
         else:
-            recordings = read_table(file, name, parts[name], config)
-        for recording in recordings:
-            some, found = build_logs(recording, config)
             logs += some
-            issues += found
+        issues += found
         if progress is not None:
             progress("read", (index + 1) / len(files), f"{len(logs):,} logs")
+    if not logs and refusals:
+        others = f"; {counted(len(refusals) - 1, 'more file')} refused" if refusals[1:] else ""
+        raise LogError(f"{refusals[0]}{others}")
     if not logs:
         raise LogError(
             f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
             "use --shortest 1 to keep shorter pieces, or --gap SECONDS to bridge longer gaps"
         )
     inspection = inspect(logs, issues, config, progress)
-    options = config.model_dump(mode="json", exclude_defaults=True)
+    options = config.model_dump(mode="json", exclude_defaults=True, exclude={"ignore_errors"})
     data_hash = dataset.data_hash if dataset and not options else _hash(files, path, options)
     metadata = {
         "imported_from": {"path": path.name, "files": list(files.values()), "data_hash": data_hash},
@@ -110,7 +142,34 @@ def open_logs(
         ],
         "issues": [dataclasses.asdict(issue) for issue in inspection.issues],
     }
-    return OpenedLogs(tuple(logs), inspection, data_hash, metadata)
+    return OpenedLogs(tuple(logs), inspection, data_hash, metadata, config)
+
+
+def _read(
+    file: Path, name: str, part: Part, config: ImportConfig
+) -> tuple[list[NamedLog], list[Issue]]:
+    """Read the logs in a file, and the issues found on the way."""
+    if is_bag(file):
+        # Imported late: the bag reader is only loaded if there are bags.
+        from softfin.data.importing.rosbag import read_bag
+
+        recordings = [read_bag(file, name, part, config)]
+    else:
+        recordings = read_table(file, name, part, config)
+    logs: list[NamedLog] = []
+    issues: list[Issue] = []
+    for recording in recordings:
+        some, found = build_logs(recording, config)
+        logs += some
+        issues += found
+    return logs, issues
+
+
+def _refusal(error: LogError, name: str) -> Issue:
+    """Return the issue of a file that cannot be read: an error, unless it is no log at all."""
+    if isinstance(error, NotALogError):
+        return Issue("warning", "not a log", name, f"ignored ({error})")
+    return Issue("error", "unreadable", name, str(error))
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:

@@ -1,15 +1,18 @@
 """Check recordings, import them as a dataset, or recover them. No JAX."""
 
+import shlex
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
+import yaml
+
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import DIR, FILE, HIDDEN, LOGS, RECORDING, RECORDINGS, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
-from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.importing import ImportConfig, format_options
 from softfin.data.issues import counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.paths import find_recordings
@@ -20,6 +23,7 @@ def inspect_logs(
     *,
     out: Annotated[PathLike | None, DIR] = None,
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
+    save: bool = False,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
@@ -29,6 +33,7 @@ def inspect_logs(
         logs: A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags.
         out: Output folder for inspection.json and the figure.
         recordings: How to read recordings that softfin did not make.
+        save: Save these options as log.yaml beside the logs, for inspect, fit and import-logs.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -43,20 +48,28 @@ def inspect_logs(
     if out is not None:
         artifacts.check_vacant(Path(out), overwrite, kind="inspection")
     from softfin.data.checks.report import write_inspection
-    from softfin.data.recordings import open_logs
+    from softfin.data.recordings import ignoring, open_logs, options_file
 
-    recordings = recordings or ImportConfig()
     opened = open_logs(logs, recordings, progress)
+    if save:
+        options = opened.config.model_dump(mode="json", exclude_defaults=True)
+        artifacts.write_file(options_file(logs), yaml.safe_dump(options, allow_unicode=True))
     metadata = {
         "source": str(logs),
-        "options": recordings.model_dump(mode="json"),
+        "options": opened.config.model_dump(mode="json"),
         "provenance": artifacts.provenance(data_hash=opened.data_hash),
     }
     if out is None:
         values = {**opened.inspection.to_dict(), **metadata}
     else:
         values = write_inspection(opened.inspection, opened.logs, Path(out), metadata, overwrite)
-    return Result(values, inspection_table(values))
+    errors = opened.remaining_errors()
+    if errors:
+        text = f"fit and import-logs reject logs with errors unless you add {ignoring(errors)}"
+    else:
+        words = [shlex.quote(str(logs)), format_options(opened.config), "--out surrogate"]
+        text = f"next: softfin fit {' '.join(filter(None, words))}"
+    return Result(values, f"{inspection_table(values)}\n{text}")
 
 
 def import_logs(
@@ -64,7 +77,6 @@ def import_logs(
     *,
     out: Annotated[PathLike, DIR],
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
-    ignore_errors: bool = False,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
@@ -75,7 +87,6 @@ def import_logs(
         logs: A recording, or a folder of recordings.
         out: Dataset folder to write.
         recordings: How to read recordings that softfin did not make.
-        ignore_errors: Also import logs with errors.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -95,12 +106,11 @@ def import_logs(
     from softfin.data.recordings import open_logs
     from softfin.storage.dataset import write_dataset
 
-    opened = open_logs(logs, recordings or ImportConfig(), progress)
+    opened = open_logs(logs, recordings, progress)
     opened.check_train(str(logs))
-    opened.check_issues(str(logs), ignore_errors)
+    opened.check_issues(str(logs))
     metadata = {
         **opened.metadata,
-        "ignore_errors": ignore_errors,
         "provenance": artifacts.provenance(),
     }
     data = write_dataset(out, opened.train, opened.test, metadata, overwrite)
@@ -175,8 +185,6 @@ def inspection_table(result: JsonObject) -> str:
     for issue in result["issues"]:
         lines += _issue_lines(issue)
     lines.append(issue_counts(counts))
-    if counts["error"]:
-        lines.append("fit and import-logs reject logs with errors unless you add --ignore-errors")
     return "\n".join(lines)
 
 

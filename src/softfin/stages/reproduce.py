@@ -19,6 +19,7 @@ from softfin.core.option_types import DIR, HIDDEN, PLANT, PathLike
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.core.seeds import check_seed
+from softfin.data.importing.importing import ImportConfig
 from softfin.stages.collect import collect
 from softfin.stages.controllers import map_forces, train
 from softfin.stages.evaluation import evaluate
@@ -326,7 +327,8 @@ def _learn_surrogate(out: Path, plant: str, preset: Preset, seed: int) -> Iterat
         partial(collect, plant=plant, out=dataset, seed=seed, config=preset.collect),
     )
     # Errors are ignored because the logs were recorded by this run and not by a user's program.
-    work = partial(fit, dataset, model=preset.model, config=preset.fit, ignore_errors=True)
+    recordings = ImportConfig(ignore_errors=("all",))
+    work = partial(fit, dataset, model=preset.model, config=preset.fit, recordings=recordings)
     yield Stage(
         "fit",
         "a surrogate: neural networks that predict the fin's motion and force from its commands",

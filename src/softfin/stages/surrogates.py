@@ -49,7 +49,6 @@ def fit(
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
-    ignore_errors: bool = False,
     seed: int = 0,
     config: Config = None,
     resume: bool = False,
@@ -63,7 +62,6 @@ def fit(
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
         recordings: How to read recordings that softfin did not make.
-        ignore_errors: Also fit to logs with errors.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
         resume: Continue from the last checkpoint of an unfinished run.
@@ -99,8 +97,8 @@ def fit(
     description = artifacts.load_description(dataset, "dataset") if is_dataset else {}
     opened = open_logs(dataset, recordings, progress)
     opened.check_train(str(dataset))
-    were_ignored = description.get("ignore_errors") is True
-    opened.check_issues(str(dataset), ignore_errors or were_ignored)
+    options = description.get("options", {})
+    opened.check_issues(str(dataset), options.get("ignore_errors", ()))
     metadata = {
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -138,30 +140,54 @@ def test_pieces_that_are_too_short_are_left_out_and_counted():
     assert len(logs(valid_rows(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
 
 
-def test_rows_without_a_value_are_errors_and_split_where_there_are_many():
+@pytest.mark.parametrize(("num_missing", "severity"), [(20, "warning"), (60, "error")])
+def test_rows_without_a_value_are_dropped_and_split_where_there_are_many(num_missing, severity):
     one = track()
-    one.channels["force_x"][300:320] = np.nan
+    one.channels["force_x"][300 : 300 + num_missing] = np.nan
     one.channels["angle"][700] = np.inf
     pieces, issues = logs(one)
-    assert [len(piece.log.reading.time) for piece in pieces] == [300, 680]
-    errors = [issue for issue in issues if issue.severity == "error"]
-    assert [(e.name, e.column, e.row) for e in errors] == [
-        ("not a number", "angle", 700),
-        ("not a number", "force_x", 300),
+    assert [len(piece.log.reading.time) for piece in pieces] == [300, 700 - num_missing]
+    found = [one for one in issues if one.name == "not a number"]
+    assert [(one.severity, one.column, one.row) for one in found] == [
+        ("warning", "angle", 700),
+        (severity, "force_x", 300),
     ]
-    assert "20 of 1,000 rows" in errors[1].message
     assert all(np.isfinite(piece.log.reading.force).all() for piece in pieces)
 
 
-def test_repeated_and_backward_times_are_errors_and_left_out():
+def test_a_few_repeated_and_backward_times_are_left_out_with_a_warning():
     one = track()
     one.time[500] = one.time[499]
     one.time[600] -= 0.025
     (log,), issues = logs(one)
     assert len(log.log.reading.time) == 1000
-    (error, *_) = issues
-    assert (error.severity, error.name, error.row) == ("error", "repeated time", 500)
-    assert "repeats or goes back in 2 of 1,000 rows" in error.message
+    (found, *_) = issues
+    assert (found.severity, found.name, found.row) == ("warning", "repeated time", 500)
+
+
+@pytest.mark.parametrize(("rows_per_time", "hz"), [(2, 200), (5, 500)])
+def test_a_clock_coarser_than_the_rows_is_an_error_that_names_the_rate(rows_per_time, hz):
+    time = np.arange(3000) // rows_per_time / 100
+    _, issues = logs(Track(time, {name: np.sin(time + i) for i, name in enumerate(NAMES)}))
+    (error,) = [one for one in issues if one.severity == "error"]
+    assert (error.name, error.column) == ("coarse clock", "time")
+    (rate,) = re.findall(r"--rate ([\d.]+) ", error.fix)
+    assert float(rate) == pytest.approx(hz, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", [np.float32, lambda time: np.array([f"{t:.6g}" for t in time])])
+def test_a_clock_that_is_rounded_away_is_refused_with_the_option_for_a_rate(kind):
+    one = track()
+    with pytest.raises(LogError, match="--rate 100 --columns time=-"):
+        logs(one._replace(time=kind(1.7e9 + one.time).astype(float)))
+
+
+def test_tracks_that_all_start_anew_begin_another_log():
+    one = track(1200)
+    one.time[500:] -= one.time[500]
+    motion = {name: one.channels.pop(name) for name in NAMES[:4]}
+    pieces, _ = logs(Track(one.time, motion), one)
+    assert [len(piece.log.reading.time) for piece in pieces] == [500, 700]
 
 
 def test_a_clock_that_starts_anew_begins_another_log():
@@ -191,11 +217,18 @@ def test_a_slow_source_is_a_warning():
     assert len(log.log.reading.time) == 999
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-4, 1e-9])
-def test_a_clock_in_another_unit_is_refused_with_the_option(factor):
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
     one = track()
-    with pytest.raises(LogError, match="--time-unit ms"):
+    with pytest.raises(LogError, match=f"--time-unit {unit}"):
         logs(one._replace(time=one.time * factor))
+
+
+def test_a_clock_in_no_plausible_unit_is_refused_without_that_option():
+    one = track()
+    with pytest.raises(LogError, match="Hz") as error:
+        logs(one._replace(time=one.time * 1e-9))
+    assert "--time-unit" not in str(error.value)
 
 
 def test_a_velocity_that_is_not_there_is_the_angles_central_difference():

@@ -7,6 +7,7 @@ import pytest
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.data.importing.columns import choose_columns, converted, describe_columns
 from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig, compose_frames
+from softfin.data.importing.names import UNITS
 from softfin.storage.log_file import SCHEMA
 
 AUTHORS = ["command angle", "command velocity", "position", "force x", "force y"]
@@ -121,9 +122,13 @@ def test_a_suggestion_with_commas_and_quotes_can_be_copied():
 
 @pytest.mark.parametrize("name", ["angle [counts]", "angle_counts", "position (m)", "theta [1/s]"])
 def test_an_unknown_unit_is_refused_with_the_known_ones(name):
-    message = refusal([name, *AUTHORS[:2], *AUTHORS[3:]])
-    assert f"no column recognized as angle among {name!r}" in message
-    assert "(known units: rad, mrad, deg, turn)" in message
+    names = [name, *AUTHORS[:2], *AUTHORS[3:]]
+    for options in ({}, {"columns": f"angle={name}"}):
+        message = refusal(names, **options)
+        assert repr(name) in message
+        assert all(unit in message for unit in UNITS["angle"])
+    # A unit that is stated explicitly counts.
+    assert chosen(names, columns=f"angle={name}", angles="deg")["angle"] == name
 
 
 def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
@@ -162,8 +167,7 @@ def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
 
 
 def test_without_a_column_of_time_the_rate_must_be_told():
-    for names in (AUTHORS, ["time [h]", *AUTHORS]):
-        assert "--rate" in refusal(names, rate_hz=None)
+    assert "--rate" in refusal(AUTHORS, rate_hz=None)
 
 
 @pytest.mark.parametrize(

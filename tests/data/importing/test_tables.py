@@ -91,16 +91,17 @@ def test_columns_that_are_not_read_are_named(tmp_path, columns):
 
 
 def test_empty_cells_are_not_a_number(tmp_path):
-    (tmp_path / "a.csv").write_text(
-        "time,c,v,p,x,y\n0.00,0,1,0,,1\n0.01,0,1,nan,1,1\n0.02,0,1,NaN,1,\n"
-    )
+    text = "time,c,v,p,x,y\n0.00,0,1,0,,1\n0.01,0,1,nan,1,1\n0.02,0,1,1.#QNAN0,1,#N/A\n"
+    rows = [f"{0.01 * row},0,1,0,1,1\n" for row in range(3, 50)]
+    (tmp_path / "a.csv").write_text(text + "".join(rows))
     (recording,) = read(
         tmp_path / "a.csv",
         columns="time=time,command_angle=c,command_velocity=v,angle=p,force_x=x,force_y=y",
     )
     values = recording.tracks[0].channels
-    assert np.isnan(values["force_x"]).tolist() == [True, False, False]
-    assert np.isnan(values["angle"]).tolist() == [False, True, True]
+    assert np.isnan(values["force_x"]).tolist() == [True] + 49 * [False]
+    assert np.isnan(values["angle"]).tolist() == [False, True, True] + 47 * [False]
+    assert np.isnan(values["force_y"]).tolist() == [False, False, True] + 47 * [False]
 
 
 def test_a_time_in_milliseconds_is_told(tmp_path, columns):
@@ -156,12 +157,12 @@ HEADER = ",".join(AUTHORS)
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no header"),
+        ("", "no rows"),
         ("1,2,3\n4,5,6\n", "column names"),
-        ("a,a\n1,2\n", "duplicate column 'a'"),
+        ("angle,angle,cmd,cmd vel,fx,fy\n1,2,3,4,5,6\n", "duplicate column 'angle'"),
         (f"{HEADER}\n", "no rows"),
-        (f"{HEADER}\n1,2,3,4,x\n", "not a table of numbers"),
-        (f"{HEADER}\n1,2,3\n", "not a table of numbers"),
+        (f"{HEADER}\n1,2,3,4,x\n", "'force_y_n' contains no numbers"),
+        (f"{HEADER}\n1,2,3\n", "no rows of numbers"),
     ],
 )
 def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Int
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.names import CHANNELS
-from softfin.data.issues import Issue, counted
+from softfin.data.importing.names import CHANNELS, UNITS
+from softfin.data.issues import ODD_SHARE, Issue, counted, row_severity
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
 COMMAND_CHANNELS = {"command_angle", "command_velocity"}
@@ -121,17 +121,23 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
 
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
-    """Split a table at rows where the clock goes back by more than a second: there, a new log
-    starts."""
-    name = recording.name
-    (track, *others) = recording.tracks
-    edges = [0, *(np.flatnonzero(np.diff(track.time) < -1.0) + 1).tolist(), len(track.time)]
-    if others or len(edges) == 2:
-        return [(name, recording.tracks)]
-    pieces: list[tuple[str, tuple[Track, ...]]] = []
-    for start, end in itertools.pairwise(edges):
-        pieces.append((f"{name} rows {start}..{end - 1}", (track.take(slice(start, end)),)))
-    return pieces
+    """Split a recording where the clock of every track goes back by more than a second: there, a
+    new log starts."""
+    split = []
+    for track in recording.tracks:
+        restarts = np.flatnonzero(np.diff(track.time) < -1.0) + 1
+        edges = [0, *restarts.tolist(), len(track.time)]
+        split.append([track.take(slice(*pair)) for pair in itertools.pairwise(edges)])
+    num_logs = len(split[0])
+    if num_logs == 1 or any(len(pieces) != num_logs for pieces in split):
+        return [(recording.name, recording.tracks)]
+    runs = []
+    row = 0
+    for tracks in zip(*split, strict=True):
+        rows = max(len(track.time) for track in tracks)
+        runs.append((f"{recording.name} rows {row}..{row + rows - 1}", tracks))
+        row += rows
+    return runs
 
 
 def _split_further(track: Track) -> tuple[Track, list[Track]]:
@@ -155,20 +161,22 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     """Drop rows with missing values and rows whose time repeats or goes back; check the rate of the
     remaining rows."""
     finite, rows, issues = _finite_rows(track, name, config)
-    if len(finite.time) < 2:
+    is_command = track.channels.keys() <= COMMAND_CHANNELS
+    # One command is enough, because it holds until the next one.
+    if len(finite.time) < 2 - is_command:
         raise LogError(
-            f"{name}: only {counted(len(finite.time), 'row')} with a time and values; record again"
+            f"{name}: only {counted(len(finite.time), 'row')} with a time and values for "
+            f"{', '.join(track.channels)}; check these columns"
         )
     valid, rows, found = _forward_rows(finite, rows, name)
     issues += found
-    if valid.channels.keys() <= COMMAND_CHANNELS:
+    if is_command:
         return valid, issues
-    if len(valid.time) < 2:
-        raise LogError(f"{name}: time stays at {valid.time[0]:g} s; record again")
+    _check_digits(finite, valid, name)
     # Unwrap first: derivatives, filters and interpolation must not see the jumps.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
-    issues += _check_rate(valid, name)
+    issues += _check_rate(valid, name, config)
     return valid, issues
 
 
@@ -184,11 +192,9 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
         if bad.size:
             is_finite[bad] = False
             message = f"missing or non-finite values in {bad.size:,} of {len(values):,} rows"
-            fix = (
-                "record again or remove these rows; with --ignore-errors they are dropped, and "
-                f"gaps over {config.gap_s:g} s split the log"
-            )
-            issues.append(Issue("error", "not a number", name, message, fix, channel, int(bad[0])))
+            fix = f"these rows are dropped, and gaps over {config.gap_s:g} s split the log"
+            severity = row_severity(bad.size, len(values))
+            issues.append(Issue(severity, "not a number", name, message, fix, channel, int(bad[0])))
     return track.take(is_finite), np.flatnonzero(is_finite), issues
 
 
@@ -199,16 +205,43 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
     late = np.flatnonzero(~forward)
     if not late.size:
         return track, rows, []
+    kind = "repeated time"
     message = (
         f"time repeats or goes back in {late.size:,} of {len(forward):,} rows, first at "
         f"{track.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
     )
-    fix = (
-        "sort the rows by time and remove repeated ones; with --ignore-errors, rows that are not "
-        "later than all previous rows are dropped"
-    )
-    issue = Issue("error", "repeated time", name, message, fix, "time", int(rows[late[0]]))
+    fix = "rows that are not later than all previous rows are dropped; sort the rows by time"
+    repeated = int((np.diff(track.time) == 0).sum())
+    span_s = float(track.time[-1] - track.time[0])
+    if repeated > ODD_SHARE * len(forward) and span_s > 0:
+        kind = "coarse clock"
+        message = (
+            f"the clock is coarser than the rows: {repeated:,} of {len(forward):,} rows have the "
+            "same time as the row before"
+        )
+        rate = (len(forward) - 1) / span_s
+        fix = (
+            f"if the rows of a table are evenly spaced, use --rate {rate:.4g} --columns time=-; "
+            "otherwise, record the time with more digits"
+        )
+    severity = row_severity(late.size, len(forward))
+    issue = Issue(severity, kind, name, message, fix, "time", int(rows[late[0]]))
     return track.take(forward), rows[forward], [issue]
+
+
+def _check_digits(track: Track, valid: Track, name: str) -> None:
+    """Raise LogError if a clock has so few digits that most rows have the time of another one."""
+    num_times = len(valid.time)
+    if num_times > 1:
+        step_s = float(np.median(np.diff(valid.time)))
+        if num_times > len(track.time) / 2 or step_s <= 1 / RATES_HZ[0]:
+            return
+    raise LogError(
+        f"{name}: time has too few digits: {len(track.time):,} rows have "
+        f"{counted(num_times, 'different time')} (6 digits or single precision cannot resolve a "
+        "time since 1970); if the rows of a table are evenly spaced, use --rate 100 --columns "
+        "time=- for one row every 10 ms"
+    )
 
 
 def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[Issue]]:
@@ -222,21 +255,20 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
     )
     fix = (
         "set the encoder's zero at the fin's rest position, so that it does not wrap within the "
-        "fin's range, and record again; with --ignore-errors, the angle is unwrapped so that its "
-        "median is close to 0"
+        "fin's range, and record again; with --ignore-errors wraps, the angle is unwrapped so that "
+        "its median is close to 0"
     )
     issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
     angle = unwrapped(track.channels["angle"])
     return Track(track.time, track.channels | {"angle": angle}), [issue]
 
 
-def _check_rate(track: Track, name: str) -> list[Issue]:
+def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
     rate = 1 / float(np.median(np.diff(track.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
             f"{name}: column time: one row every {1 / rate:g} s ({rate:g} Hz); must be "
-            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; if the time is in another unit, set it, e.g. "
-            "--time-unit ms"
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; {_rate_fix(rate, config)}"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"sampled at {rate:.1f} Hz, below {RATE_HZ} Hz: missing rows are interpolated"
@@ -248,6 +280,15 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
         )
         return [Issue("note", "resampled", name, message, column="time")]
     return []
+
+
+def _rate_fix(rate: float, config: ImportConfig) -> str:
+    """Return a fix for an implausible rate: the unit that makes it plausible, if there is one."""
+    given = UNITS["time"][config.time_unit or "s"]
+    for unit, factor in UNITS["time"].items():
+        if RATES_HZ[0] <= rate * given / factor <= RATES_HZ[1]:
+            return f"if the time is in {unit}, use --time-unit {unit}"
+    return "map the column with the time of each row"
 
 
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:

@@ -13,23 +13,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.errors import LogError
-from softfin.core.log_channels import LOG_COLUMNS
+from softfin.core.errors import LogError, NotALogError
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, turned
 from softfin.data.importing.names import (
     CHANNELS,
     FURTHER,
     KINDS,
+    OWN_NAMES,
+    ROSTOPIC_TIME,
     SI,
     UNITS,
     read_name,
     split_unit,
+    split_unknown_unit,
+    unit_factor,
 )
-
-OWN_NAMES = dict(zip(LOG_COLUMNS, CHANNELS, strict=True)) | {
-    name: channel for channel, name in FURTHER.items()
-}
-"""Channels by softfin's own column names."""
 
 MAX_LISTED_COLUMNS = 12
 """Maximum number of column names in a message."""
@@ -43,6 +41,8 @@ class Column(NamedTuple):
     """Unit of the values."""
     is_unit_stated: bool
     """Whether the name or an option states the unit; otherwise the SI unit is assumed."""
+    unknown_unit: str = ""
+    """Unit in the name that softfin does not know, unless an option states the unit."""
 
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
@@ -58,13 +58,48 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     found |= _recognized_columns(names, list(found.values()), decided, source)
     settled = {*found, *stated, "velocity"}
     if missing := [channel for channel in CHANNELS if channel not in settled]:
-        raise _missing_error(names, missing, source)
+        is_log = bool(found.keys() - {"time", *FURTHER})
+        raise _missing_error(names, missing, source, LogError if is_log else NotALogError)
     columns = {}
     for channel in (*CHANNELS, *FURTHER):
         if channel in found:
-            unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
-            columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
+            columns[channel] = _column(channel, found[channel], config)
+            # A time may also be text, such as 10:30:00, whatever its name ends in.
+            if channel != "time":
+                check_unit(channel, columns[channel], source)
     return columns
+
+
+def _column(channel: str, name: str, config: ImportConfig) -> Column:
+    kind = KINDS[channel]
+    unit = stated_unit(channel, config) or split_unit(name, kind)[1]
+    if unit is not None:
+        return Column(name, unit, True)
+    unknown = split_unknown_unit(name, kind)
+    rest, _, last = name.replace("_", " ").rpartition(" ")
+    if unknown is None and last.isalpha() and read_name(rest) and not read_name(name):
+        unknown = rest, last
+    return Column(name, SI[kind], False, unknown[1] if unknown else "")
+
+
+def check_unit(channel: str, column: Column, source: str) -> None:
+    """Raise LogError if the name of a column states a unit that softfin does not know."""
+    if not column.unknown_unit:
+        return
+    kind = KINDS[channel]
+    options = {
+        "time": "--time-unit UNIT or --rate 100",
+        "force": "--force-unit UNIT",
+        "angle": f"--angles {channel}=UNIT",
+        "velocity": f"--angles {channel}=UNIT",
+    }
+    fix = "convert the column"
+    if kind in options:
+        fix += f", or state its unit with {options[kind]}"
+    raise LogError(
+        f"{source}: column {column.name!r}: unknown unit {column.unknown_unit!r} of {channel}; "
+        f"known units are {', '.join(UNITS[kind])}; {fix}"
+    )
 
 
 def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:
@@ -92,18 +127,18 @@ def _recognized_columns(
 ) -> dict[str, str]:
     """Return the columns recognized by name, for channels that are not yet decided."""
     candidates: dict[str, list[str]] = {}
+    in_unknown_units: dict[str, list[str]] = {}
     for name in names:
-        read = read_name(name)
-        if read is None or name in taken or read[0] in decided:
-            continue
-        channel, unit = read
-        # A torque or current without a unit may be a register of the drive, in counts.
-        if channel in CHANNELS or unit is not None:
-            candidates.setdefault(channel, []).append(name)
+        channel, is_known = _channel_and_unit(name)
+        if name not in taken and channel and channel not in decided:
+            group = candidates if is_known else in_unknown_units
+            group.setdefault(channel, []).append(name)
     recognized = {}
-    for channel, several in candidates.items():
+    for channel, several in (in_unknown_units | candidates).items():
         if channel == "command_velocity":
             several = _preferred_velocities(several)
+        if ROSTOPIC_TIME in several:
+            several = [ROSTOPIC_TIME]
         if len(several) > 1 and channel in FURTHER:
             continue
         if len(several) > 1:
@@ -115,7 +150,24 @@ def _recognized_columns(
     return recognized
 
 
-def _missing_error(names: Sequence[str], missing: Sequence[str], source: str) -> LogError:
+def _channel_and_unit(name: str) -> tuple[str, bool]:
+    """Return the channel of a name (empty if there is none), and whether its unit is known."""
+    read = read_name(name)
+    if read is not None:
+        channel, unit = read
+        # A torque or current without a unit may be a register of the drive, in counts.
+        return (channel, True) if channel in CHANNELS or unit is not None else ("", False)
+    for kind in UNITS:
+        unknown = split_unknown_unit(name, kind)
+        read = read_name(unknown[0]) if unknown else None
+        if read is not None and KINDS[read[0]] == kind and read[0] in CHANNELS:
+            return read[0], False
+    return "", False
+
+
+def _missing_error(
+    names: Sequence[str], missing: Sequence[str], source: str, error: type[LogError]
+) -> LogError:
     others = {
         "time": "; without a time column, use --rate 100 if a row was written every 10 ms",
         "command_velocity": (
@@ -127,7 +179,9 @@ def _missing_error(names: Sequence[str], missing: Sequence[str], source: str) ->
     hints = ""
     for channel in missing:
         hints += others.get(channel, "")
-    return LogError(
+    if any(name.endswith("[0]") for name in names):
+        hints += "; columns of lists are split, so NAME may be e.g. action[0]"
+    return error(
         f"{source}: no column recognized as {missing[0]} among {_listed(names)} (known units: "
         f"{', '.join(UNITS[KINDS[missing[0]]])}); map it with --columns {mapping}{hints}"
     )
@@ -180,7 +234,7 @@ def converted(
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
         if kind == "angle":
             values = values - config.angle_zero
-        result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
+        result[channel] = values if unit == SI[kind] else values * unit_factor(kind, unit)
     # A reversed angle reverses its velocity.
     negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])}
     for channel in negated & result.keys():

@@ -1,12 +1,13 @@
 """Import options of `open_logs`: columns, units, signs and clocks of third-party recordings."""
 
 import csv
+import shlex
 from typing import Annotated, Any, Literal, get_args
 
 import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
-from softfin.core.configuration import Configuration
+from softfin.core.configuration import Configuration, option_name
 from softfin.core.option_types import NAMES, PAIRS
 from softfin.data.importing.names import KINDS, UNITS, Channel, FurtherChannel
 
@@ -72,10 +73,15 @@ class ImportConfig(Configuration):
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
     """Shortest piece to keep as a log [s]; the paper's networks need a window of 1 s."""
 
-    @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
+    ignore_errors: Annotated[tuple[str, ...], NAMES] = ()
+    """Errors that do not stop a fit or an import, by name, e.g. ``force-lag,stuck`` or ``all``."""
+
+    @pydantic.field_validator(
+        "columns", "topics", "angles", "negate", "ignore_errors", mode="before"
+    )
     @classmethod
     def _parsed(cls, value: Any, info: Any) -> Any:
-        if info.field_name == "negate":
+        if info.field_name in ("negate", "ignore_errors"):
             names = ",".join([value] if isinstance(value, str) else value).split(",")
             return tuple(name.strip() for name in names if name.strip())
         if not isinstance(value, str):
@@ -105,6 +111,20 @@ class ImportConfig(Configuration):
                     "different units, use e.g. angle=deg,velocity=rpm"
                 )
         return value
+
+
+def format_options(config: ImportConfig) -> str:
+    """Return the options that were changed, as they are typed in a shell."""
+    words = []
+    for field, value in config.model_dump(mode="json", exclude_defaults=True).items():
+        if isinstance(value, dict):
+            pairs = [f"{name}={text}" for name, text in value.items()]
+            # A pair with a comma is quoted, because commas separate pairs.
+            value = ",".join(f'"{pair}"' if "," in pair else pair for pair in pairs)
+        elif isinstance(value, list):
+            value = ",".join(value)
+        words.append(f"--{option_name(field)}={shlex.quote(str(value).removesuffix('.0'))}")
+    return " ".join(words)
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:

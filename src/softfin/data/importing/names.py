@@ -9,7 +9,8 @@ import math
 import re
 from typing import Literal, get_args
 
-from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
+from softfin.core.dynamixel import TICKS_PER_TURN, VELOCITY_UNIT_RPM
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, LOG_COLUMNS
 
 LogChannel = Literal[
     "time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"
@@ -28,6 +29,11 @@ FURTHER: dict[str, str] = dict(
 )
 """Names in a log of the channels that it may also contain."""
 
+OWN_NAMES = dict(zip(LOG_COLUMNS, CHANNELS, strict=True)) | {
+    name: channel for channel, name in FURTHER.items()
+}
+"""Channels by softfin's own column names."""
+
 KINDS: dict[str, str] = {
     channel: re.sub("command_|_[xyz]$", "", channel) for channel in (*CHANNELS, *FURTHER)
 }
@@ -43,6 +49,8 @@ UNITS: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "deg": math.pi / 180,
         "turn": 2 * math.pi,
+        # Raw position of a Dynamixel of the X series; as a velocity, its raw velocity.
+        "dynamixel": 2 * math.pi / TICKS_PER_TURN,
     },
     "velocity": {
         "rad/s": 1.0,
@@ -50,14 +58,17 @@ UNITS: dict[str, dict[str, float]] = {
         "deg/s": math.pi / 180,
         "turn/s": 2 * math.pi,
         "rpm": RPM,
+        "dynamixel": VELOCITY_UNIT_RPM * RPM,
     },
     "force": {
         "N": 1.0,
         "mN": 1e-3,
+        "cN": 1e-2,
         "kN": 1e3,
         "gf": 9.80665e-3,
         "kgf": 9.80665,
         "lbf": 4.4482216152605,
+        "ozf": 4.4482216152605 / 16,
     },
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
     "current": {"A": 1.0, "mA": 1e-3},
@@ -75,14 +86,17 @@ SPELLINGS = {
     "rad": "rad rads radian radians",
     "mrad": "mrad mrads milliradian milliradians",
     "deg": "deg degs degree degrees °",
-    "turn": "turn turns rev revs revolution revolutions",
+    "turn": "turn turns rev revs revolution revolutions rotation rotations",
     "rpm": "rpm rev/min revs/min revolutions/minute",
     "N": "n newton newtons",
     "mN": "mn millinewton millinewtons",
+    "cN": "cn centinewton centinewtons",
     "kN": "kn kilonewton kilonewtons",
-    "gf": "gf",
-    "kgf": "kgf",
-    "lbf": "lbf",
+    # A force in units of mass is the weight of that mass.
+    "gf": "gf g gram grams gr gram/force grams/force",
+    "kgf": "kgf kg kgs kilogram kilograms kilo kilos kp kilopond kilogram/force kilograms/force",
+    "lbf": "lbf lb lbs pound pounds pound/force pounds/force",
+    "ozf": "ozf oz ounce ounces ounce/force",
     # The words of a unit are joined by slashes, so n/m is N m, N.m or N·m.
     "Nm": "nm n/m newtonmeter newtonmeters newton/meter newton/meters",
     "mNm": "mnm mn/m",
@@ -113,7 +127,7 @@ the commanded angle, or the commanded velocity if the unit is one; "ref" and "re
 because they could also mean the reference force."""
 
 PHRASES = {
-    "time": ["time", "t", "timestamp", "stamp", "time stamp"],
+    "time": ["time", "t", "timestamp", "stamp", "time stamp", "datetime", "date time"],
     "angle": ["angle", "ang", "theta", "θ", "position", "pos", "angular position"],
     "velocity": [
         "velocity",
@@ -173,12 +187,26 @@ NEUTRAL_WORDS = {
     "dynamixel",
     "dxl",
     "workbench",
+    # rostopic echo -p prefixes all names.
+    "field",
+    "utc",
+    "local",
 }
 """Words that do not change the meaning of a name."""
+
+UNIT_FACTOR = r"\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+
+RAW_UNITS = "raw|counts?|ticks?|adc|lsb|m?v|volts?"
+"""Units at the end of a name that have no fixed conversion."""
+
+ROSTOPIC_TIME = "%time"
+"""First column of ``rostopic echo -p``, in nanoseconds; the other times are in the message."""
 
 _PHRASES: dict[tuple[str, ...], str] = {}
 for _channel, _names in PHRASES.items():
     _PHRASES |= {tuple(sorted(_name.split())): _channel for _name in _names}
+
+_KNOWN_WORDS = COMMAND_WORDS | NEUTRAL_WORDS | {*itertools.chain(*_PHRASES), "z"}
 
 
 def _spellings(kind: str) -> dict[str, str]:
@@ -225,16 +253,43 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
     """Split a name into its words in lower case and the unit at its end (None without a unit)."""
+    if name == ROSTOPIC_TIME:
+        return ["time"], "ns"
     # Drop "(t)", which only marks a function of time, and the exponent of "rad s^-1", because the
     # unit words are joined by a slash below.
-    plain = re.sub(r"\(t\)|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
+    plain = re.sub(r"\(t\)|^%|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
     # Words end at non-letters and before capitals (CmdAngle), but not within units such as mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     lower = parted.lower().replace("µ", "u").replace("μ", "u")
-    words = re.findall(r"[^\W\d_]+|\d+|[°%]|-(?=[\])}>])", lower)
+    words = re.findall(rf"[^\W\d_]+|{UNIT_FACTOR}|[°%]|-(?=[\])}}>])", lower)
     for start in range(max(len(words) - 3, 0), len(words)):
         ending = [word for word in words[start:] if word != "per"]
         # A single letter that is the entire name is not a unit: "s" or "N" could mean anything.
         if "/".join(ending) in SPELLED[kind] and (start > 0 or len(ending[0]) > 1):
-            return words[:start], SPELLED[kind]["/".join(ending)]
+            unit = SPELLED[kind]["/".join(ending)]
+            factor = words[start - 1] if start else ""
+            # "[0.229 rpm]" or "0.229rpm" is a multiple of the unit; in "angle 2 [deg]", 2 is not.
+            if "." in factor or re.search(
+                rf"[\[({{<]\s*{UNIT_FACTOR}\s*{re.escape(ending[0])}", lower
+            ):
+                return words[: start - 1], f"{factor} {unit}"
+            return words[:start], unit
     return words, None
+
+
+def unit_factor(kind: str, unit: str) -> float:
+    """Return the factor that converts a unit, or a multiple such as "0.229 rpm", to the SI unit."""
+    factor, _, plain = unit.rpartition(" ")
+    return float(factor or 1) * UNITS[kind][plain]
+
+
+def split_unknown_unit(name: str, kind: str) -> tuple[str, str] | None:
+    """Split a name that ends in a unit that softfin does not know, if it does."""
+    ending = re.fullmatch(rf"(.*?)(?:[\[({{<](.*)[\])}}>]\s*|[\W_]({RAW_UNITS}))", name.lower())
+    if ending is None or split_unit(name, kind)[1] is not None:
+        return None
+    rest, bracketed, raw = ending.groups()
+    words = re.findall(r"[^\W\d_]+", bracketed or raw or "")
+    if set(words) <= _KNOWN_WORDS:
+        return None
+    return rest, (bracketed or raw).strip()

@@ -1,92 +1,213 @@
 """Read CSV and Parquet tables with arbitrary column names as recordings."""
 
-import csv
-import re
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
+import pyarrow.compute as pc
 from jaxtyping import Float
 
-from softfin.core.errors import LogError, one_line
+from softfin.core.errors import LogError, NotALogError
 from softfin.core.log_channels import LOG_COLUMNS
-from softfin.data.importing.clocks import Part, Recording, Track
+from softfin.data.importing.clocks import Channels, Part, Recording, Track
 from softfin.data.importing.columns import (
-    OWN_NAMES,
     Column,
+    check_unit,
     choose_columns,
     converted,
     describe_columns,
 )
-from softfin.data.importing.importing import ImportConfig
-from softfin.data.importing.names import CHANNELS, FURTHER
+from softfin.data.importing.importing import ANGLES, ImportConfig
+from softfin.data.importing.names import CHANNELS, OWN_NAMES
+from softfin.data.importing.text_table import DECIMAL, Table, read_text_table
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
+
+TIME_OF_DAY = r"(?:(?P<hours>\d+):)?(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,:]\d+)?)"
+"""Time of day, with or without a date or hours."""
+
+HALF_DAY_S = 43_200.0
+
+SPARSE = 0.1
+"""Share of missing values above which a table has been merged from several sources, each with its
+own rows."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """Read the logs in one file; raises LogError if it is not such a table or if a channel is
     missing."""
-    if path.suffix.lower() in CSV:
-        names, delimiter = _read_header(path)
-        found = choose_columns(names, config, str(path))
-        needed = [column.name for channel, column in found.items() if channel not in FURTHER]
-        further = [column.name for channel, column in found.items() if channel in FURTHER]
-        table = _read_csv(path, names, delimiter, needed, further)
-    else:
-        table = read_parquet(path)
-        names = table.schema.names
-        _check_duplicates(names, path)
-        found = choose_columns(names, config, str(path))
-    rows = table.num_rows
-    if not rows:
-        raise LogError(f"{path}: the table has no rows; record again")
-    for channel in FURTHER:
-        # A column of text with the name of a further channel is some other thing.
-        if channel in found and not _is_numeric(table.column(found[channel].name).type):
+    is_text = path.suffix.lower() in CSV
+    table = read_text_table(path, name) if is_text else _read_parquet(path)
+    found = choose_columns(list(dict.fromkeys(table.names)), config, str(path))
+    issues = list(table.issues)
+    numbers: Channels = {}
+    for channel, column in list(found.items()):
+        try:
+            numbers[channel], found[channel] = _read_column(table, channel, column, path)
+        except LogError:
+            if channel in CHANNELS:
+                raise
+            # A column of text with the name of a further channel is some other thing.
             del found[channel]
-    numbers = {}
-    units = {}
-    for channel, column in found.items():
-        numbers[channel] = _numbers(table.column(column.name), column.name, path)
-        units[channel] = column.unit
+        if channel in ANGLES:
+            numbers[channel], found_unsigned = _signed(numbers[channel], channel, name)
+            issues += found_unsigned
+    units = {channel: column.unit for channel, column in found.items()}
     values = converted(numbers, config, units)
+    own = [] if is_text else _own_channels(table, found)
+    for channel in own:
+        values[channel], _ = _read_column(table, channel, Column(channel, "", True), path)
+    rows = len(table.columns[0])
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
-    own = [] if path.suffix.lower() in CSV else _own_channels(table.schema, found)
-    for channel in own:
-        values[channel] = _numbers(table.column(channel), channel, path)
-    whole = Track(time, values)
-    recording = Recording(name, part, (whole,), tuple(_notes(name, names, found, own, config)))
-    return _split_rows(recording, config.rows_per_log or rows)
+    issues += _notes(name, table.names, found, own, config)
+    return _split_rows(Recording(name, part, (Track(time, values),), tuple(issues)), table, config)
 
 
-def _split_rows(recording: Recording, length: int) -> list[Recording]:
-    """Split a recording of one track into pieces with `length` rows."""
+def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> list[Recording]:
+    """Split a recording into its logs, and each log into the tracks of its sources."""
     name, part, (whole,), issues = recording
     rows = len(whole.time)
-    if length >= rows:
-        return [recording]
+    edges = {*table.starts, *range(0, rows, config.rows_per_log or rows), rows}
     recordings = []
-    for start in range(0, rows, length):
-        end = min(start + length, rows)
-        piece = whole.take(slice(start, end))
-        recordings.append(Recording(f"{name} rows {start}..{end - 1}", part, (piece,), issues))
+    for start, end in itertools.pairwise(sorted(edges)):
+        piece = name if len(edges) == 2 else f"{name} rows {start}..{end - 1}"
+        tracks, merged = _tracks(whole.take(slice(start, end)), piece)
+        recordings.append(Recording(piece, part, tracks, (*issues, *merged)))
         # The notes describe the file, so only its first piece has them.
         issues = ()
     return recordings
 
 
-def _own_channels(schema: pa.Schema, found: dict[str, Column]) -> list[str]:
+def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
+    """Group the channels of a table by the rows in which they have values: a table that was merged
+    from several sources has rows with the values of one source only."""
+    groups: dict[bytes, Channels] = {}
+    fewest = len(table.time)
+    for channel, values in table.channels.items():
+        has_value = np.isfinite(values)
+        groups.setdefault(has_value.tobytes(), {})[channel] = values
+        if channel in CHANNELS:
+            fewest = min(fewest, int(has_value.sum()))
+    if fewest >= (1 - SPARSE) * len(table.time):
+        return (table,), []
+    tracks = []
+    texts = []
+    for mask, channels in groups.items():
+        track = Track(table.time, channels).take(np.frombuffer(mask, bool))
+        tracks.append(track)
+        texts.append(f"{', '.join(channels)} in {len(track.time):,}")
+    text = f"of {len(table.time):,} rows, {'; '.join(texts)} have values, each at its own times"
+    return tuple(tracks), [Issue("note", "merged", name, text)]
+
+
+def _read_parquet(path: Path) -> Table:
+    table = read_parquet(path)
+    if not table.num_rows:
+        raise NotALogError(f"{path}: the table has no rows; record again")
+    names: list[str] = []
+    columns: list[pa.ChunkedArray] = []
+    for name, column in zip(table.schema.names, table.columns, strict=True):
+        parts = [column]
+        if isinstance(column.type, (pa.ListType, pa.LargeListType, pa.FixedSizeListType)):
+            shortest = pc.min(pc.list_value_length(column)).as_py() or 0
+            parts = [pc.list_element(column, index) for index in range(shortest)]
+            names += [f"{name}[{index}]" for index in range(shortest)]
+        else:
+            names.append(name)
+        columns += parts
+    return Table(names, columns, [0], [])
+
+
+def _is_numeric(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def _read_column(
+    table: Table, channel: str, column: Column, path: Path
+) -> tuple[Float[np.ndarray, "rows"], Column]:
+    """Return the numbers in a column, and the column with the unit of its type, if it has one."""
+    if table.names.count(column.name) > 1:
+        raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
+    values = table.columns[table.names.index(column.name)]
+    kind = values.type
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        return _floats(values.cast(pa.int64())), Column(column.name, kind.unit, True)
+    if not pa.types.is_string(kind):
+        check_unit(channel, column, str(path))
+        try:
+            return _floats(values), column
+        except pa.ArrowException:
+            raise LogError(
+                f"{path}: column {column.name!r} has type {kind}, must be numeric; choose another "
+                "column or convert it"
+            ) from None
+    numbers = _parse(values)
+    if channel == "time" and not np.isfinite(numbers).any():
+        numbers = _parse_clock(values)
+        column = Column(column.name, "s", True)
+    if not np.isfinite(numbers).any():
+        raise LogError(
+            f"{path}: column {column.name!r} contains no numbers (first {values[0].as_py()!r}); "
+            f"choose another column with --columns {channel}=NAME"
+        )
+    check_unit(channel, column, str(path))
+    return numbers, column
+
+
+def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
+    # A safe cast would reject nanoseconds since 1970, which exceed the 53 bits of a double. The
+    # rounding error is at most 0.13 us.
+    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+
+
+def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
+    """Parse numbers with a decimal point or comma; NaN for any other text."""
+    is_number = pc.match_substring_regex(column, f"^{DECIMAL}$")
+    return _floats(pc.if_else(is_number, pc.replace_substring(column, ",", "."), None))
+
+
+def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
+    """Parse times of day as seconds that continue at midnight and noon."""
+    parts = pc.extract_regex(column, TIME_OF_DAY).flatten()
+    hours, minutes, seconds = [_parse(pc.replace_substring(part, ":", ".")) for part in parts]
+    times = np.asarray(3600 * np.nan_to_num(hours) + 60 * minutes + seconds)
+    # The date is not needed: where it changes, the time goes back by 24 hours, or by 12 with AM
+    # and PM. Without hours, it goes back by one.
+    period = HALF_DAY_S if np.isfinite(hours).any() else 3600
+    is_valid = np.isfinite(times)
+    times[is_valid] = np.unwrap(times[is_valid], period=period)
+    return times
+
+
+def _signed(
+    values: Float[np.ndarray, "rows"], channel: str, name: str
+) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
+    """Return integers that a drive recorded without their sign, such as -1 as 65535, with it."""
+    finite = values[np.isfinite(values)]
+    full = 2.0**16 if finite.max() < 2**16 else 2.0**32
+    is_unsigned = finite.min() >= 0 and finite.max() < full and not (finite % 1).any()
+    if not is_unsigned or np.abs(np.diff(finite)).max(initial=0) < full / 2:
+        return values, []
+    negative = values >= full / 2
+    text = f"{negative.sum():,} values of an unsigned integer are read as negative"
+    return values - full * negative, [Issue("note", "unsigned", name, text, column=channel)]
+
+
+def _own_channels(table: Table, found: dict[str, Column]) -> list[str]:
     """Return the other numeric columns of softfin's own log."""
-    if not set(LOG_COLUMNS) <= set(schema.names):
+    if not set(LOG_COLUMNS) <= set(table.names):
         return []
     # A column with a name of softfin's own that was not found is not meant to be read.
     settled = {*(column.name for column in found.values()), *OWN_NAMES, *CHANNELS}
-    return [field.name for field in schema if field.name not in settled and _is_numeric(field.type)]
+    own = []
+    for name, column in zip(table.names, table.columns, strict=True):
+        if name not in settled and _is_numeric(column.type):
+            own.append(name)
+    return own
 
 
 def _notes(
@@ -119,7 +240,7 @@ def _notes(
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
     read = {*(column.name for column in found.values()), *own}
-    if unused := [column for column in names if column not in read]:
+    if unused := [column for column in names if column and column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
         notes.append(Issue("note", "unread columns", name, text))
     return notes if "velocity" in found else [*notes, derived_velocity(name)]
@@ -129,67 +250,3 @@ def derived_velocity(name: str) -> Issue:
     """Return the note that a recording has no velocity."""
     text = "no velocity column: the velocity is the central difference of the angle"
     return Issue("note", "velocity derived", name, text, column="velocity")
-
-
-def _read_header(path: Path) -> tuple[list[str], str]:
-    """Return the column names and the delimiter of a CSV file."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            line = file.readline()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LogError(f"{path}: cannot be read as text ({error}); use a CSV file") from None
-    if not line.strip():
-        raise LogError(f"{path}: no header; the first line must contain the column names")
-    delimiter = max(",;\t", key=line.count)
-    names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    number = re.compile(r"[-+.eE\d]*\d[-+.eE\d]*")
-    if all(map(number.fullmatch, names)):
-        raise LogError(
-            f"{path}: no header: the first line contains numbers ({line.strip()[:60]}); add a line "
-            "with the column names above it"
-        )
-    _check_duplicates(names, path)
-    return names, delimiter
-
-
-def _check_duplicates(names: list[str], path: Path) -> None:
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise LogError(f"{path}: duplicate column {twice[0]!r}; rename one of them")
-
-
-def _read_csv(
-    path: Path, names: list[str], delimiter: str, needed: list[str], further: list[str]
-) -> pa.Table:
-    """Read the columns; those in `needed` must contain numbers."""
-    try:
-        return pyarrow.csv.read_csv(
-            path,
-            read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
-            convert_options=pyarrow.csv.ConvertOptions(
-                include_columns=list(dict.fromkeys([*needed, *further])),
-                column_types=dict.fromkeys(needed, pa.float64()),
-                null_values=["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"],
-            ),
-        )
-    except (pa.ArrowException, OSError) as error:
-        reason = one_line(error)
-        raise LogError(
-            f"{path}: not a table of numbers ({reason}); correct that value or leave it empty"
-        ) from None
-
-
-def _is_numeric(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
-
-
-def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:
-    try:
-        # A safe cast would reject nanoseconds since 1970, which exceed the 53 bits of a double. The
-        # rounding error is at most 0.13 us.
-        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
-    except pa.ArrowException:
-        raise LogError(
-            f"{path}: column {name!r} has type {column.type}, must be numeric; choose another "
-            "column or convert it"
-        ) from None

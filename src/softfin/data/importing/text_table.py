@@ -1,0 +1,199 @@
+"""Read the columns of a text file as text: finds its encoding, header, units and delimiter.
+
+Lines above the header are ignored. Lines below it with another number of cells are dropped and
+counted.
+"""
+
+import csv
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+
+from softfin.core.errors import LogError, NotALogError, one_line
+from softfin.core.printable import printable
+from softfin.data.importing.names import OWN_NAMES, SPELLED, read_name
+from softfin.data.issues import Issue, counted, row_severity
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+
+DECIMAL = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
+
+HEAD_BYTES = 100_000
+"""Size of the beginning of a file in which the header is looked for."""
+
+MIN_COLUMNS = 4
+"""Minimum width of a header: a log without times has command, angle and force (x, y)."""
+
+COMMENT = re.compile(r"\s*(#|%|//|$)")
+
+
+class Table(NamedTuple):
+    """Columns as read from a file, before any conversion."""
+
+    names: list[str]
+    columns: list[pa.ChunkedArray]
+    starts: list[int]
+    """First row of each log: 0, and the rows below each repeated header."""
+    issues: list[Issue]
+
+
+class _Layout(NamedTuple):
+    """Form of a text file."""
+
+    delimiter: str
+    header: list[str]
+    """Cells of the header."""
+    units: list[str]
+    """Cells of the line with the units; empty if there is none."""
+    num_above: int
+    """Number of lines above the first row."""
+    num_numbers: int
+    """Number of cells with numbers in the first row."""
+
+
+def read_text_table(path: Path, name: str) -> Table:
+    """Read a text file; raises NotALogError if it has no header or no rows."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); check the file") from None
+    # After a byte order mark, if there is one, the header is ASCII.
+    encoding = "utf-16" if 0 in data[:4] else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", "replace")
+    # A power cut leaves NUL characters in place of the last lines.
+    text = re.sub("\0+", "\n", text)
+    layout = _find_layout(text, path)
+    body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
+    columns, dropped = _read_columns(body, layout, path)
+    if b"\0" in data and encoding != "utf-16":
+        dropped.append((len(columns[0]), "NUL bytes"))
+    issues = []
+    if dropped:
+        row, line = dropped[0]
+        message = (
+            f"{counted(len(dropped), 'line')} without {len(columns)} cells dropped, the first at "
+            f"row {row}: {printable(line, most=60)!r}"
+        )
+        fix = "check the end of the recording, or whether other text was written to the file"
+        severity = row_severity(len(dropped), len(columns[0]))
+        issues.append(Issue(severity, "dropped rows", name, message, fix, row=row))
+    is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
+    starts = [0]
+    for number, row in enumerate(pc.indices_nonzero(is_header).to_pylist()):
+        # The headers above it are removed.
+        starts.append(row - number)
+    is_row = pc.invert(is_header)
+    names = [layout.header[0].lstrip("#; "), *layout.header[1:]]
+    for index, unit in enumerate(layout.units):
+        if unit:
+            names[index] += f" [{unit}]"
+    columns = [column.filter(is_row) for column in columns]
+    return Table([name.strip() for name in names], columns, starts, issues)
+
+
+def _find_layout(text: str, path: Path) -> _Layout:
+    """Return the layout with the most numbers; raises an error if there is no header."""
+    lines = re.split("\r\n?|\n", text[:HEAD_BYTES])
+    layouts = filter(None, (_layout(lines, delimiter) for delimiter in DELIMITERS))
+    best = max(layouts, key=lambda layout: layout.num_numbers, default=None)
+    if best is not None:
+        return best
+    first = next(filter(str.strip, lines), "").strip()
+    if any(all(map(_is_number, _cells(first, delimiter))) for delimiter in DELIMITERS) and first:
+        raise LogError(
+            f"{path}: no header: the first line contains numbers ({first[:60]}); add a line with "
+            "the column names above it"
+        )
+    raise NotALogError(
+        f"{path}: no rows of numbers below a header with the names of at least {MIN_COLUMNS} "
+        "columns; use the file of a log"
+    )
+
+
+def _layout(lines: list[str], delimiter: str) -> _Layout | None:
+    """Return the layout with a delimiter: a header above the first row of numbers, as wide."""
+    above: list[list[str]] = []
+    for index, line in enumerate(lines):
+        cells = _cells(line, delimiter)
+        num_numbers = sum(map(_is_number, cells))
+        if not num_numbers:
+            above.append(cells)
+            continue
+        width = len(cells)
+        # A delimiter may end the rows, the header or both.
+        padded = [[*names, ""] for names in above if len(names) >= max(MIN_COLUMNS, width) - 1]
+        fitting = [names[:width] for names in padded if not any(names[width:])]
+        if fitting:
+            fitting.reverse()
+            header = max(fitting, key=_name_score)
+            below = fitting[: fitting.index(header)]
+            units = next((row for row in below if any(map(_is_unit, row))), [])
+            units = [unit.strip(" []()") for unit in units]
+            return _Layout(delimiter, header, units, index, num_numbers)
+        above = []
+    return None
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter != " ":
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    if any(map(_is_number, line.split())):
+        return line.split()
+    # In a header, a space may also separate a name from its unit.
+    return re.split(r"\s{2,}|\t" if "  " in line.strip() else r"\s+(?![\[({])", line.strip())
+
+
+def _is_number(cell: str) -> bool:
+    return re.fullmatch(DECIMAL, cell.strip()) is not None
+
+
+def _name_score(cells: list[str]) -> int:
+    """Return how many cells are names of channels, minus those that are units."""
+    num_names = sum(cell in OWN_NAMES or read_name(cell) is not None for cell in cells)
+    return num_names - sum(map(_is_unit, cells))
+
+
+def _is_unit(cell: str) -> bool:
+    word = cell.strip(" []()").lower()
+    return any(word in spelled for spelled in SPELLED.values())
+
+
+def _read_columns(
+    body: str, layout: _Layout, path: Path
+) -> tuple[list[pa.ChunkedArray], list[tuple[int, str]]]:
+    """Return the columns, and row and text of each line that was dropped."""
+    dropped = []
+
+    def drop(row: pyarrow.csv.InvalidRow) -> str:
+        if not COMMENT.match(row.text):
+            dropped.append((row.number - 1, row.text))
+        return "skip"
+
+    if layout.delimiter == " ":
+        body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
+    names = [str(number) for number in range(len(layout.header))]
+    # A stray quote in a file without quotes would join all lines below it.
+    quote = '"' if '"' in body[:HEAD_BYTES] else False
+    try:
+        table = pyarrow.csv.read_csv(
+            pa.BufferReader(body.encode("utf-8", "replace")),
+            read_options=pyarrow.csv.ReadOptions(column_names=names, use_threads=False),
+            parse_options=pyarrow.csv.ParseOptions(
+                delimiter=layout.delimiter, quote_char=quote, invalid_row_handler=drop
+            ),
+            convert_options=pyarrow.csv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string())
+            ),
+        )
+    except pa.ArrowException as error:
+        raise LogError(
+            f"{path}: not a table ({one_line(error)}); use a CSV file with one line per row"
+        ) from None
+    return [pc.utf8_trim_whitespace(column) for column in table.columns], dropped
