@@ -84,8 +84,6 @@ class GruConfig(SurrogateConfig):
     unknown."""
     learning_rate: float = Field(default=3e-3, gt=0)
     """Initial learning rate of Adam."""
-    held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out to choose the weights; at least one log."""
 
 
 class GruNet(eqx.Module):

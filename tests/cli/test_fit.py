@@ -202,17 +202,32 @@ def test_a_run_of_another_model_is_not_continued(capsys, tmp_path, dataset, monk
     )
 
 
+@pytest.mark.parametrize("test_logs", [0, 1])
+def test_the_last_lines_say_how_good_the_surrogate_is_and_what_comes_next(
+    capsys, tmp_path, asked, test_logs
+):
+    logs = [small.recorded(300, seed) for seed in range(3)]
+    write_dataset(tmp_path / "data", logs, [small.recorded(300, 9)][:test_logs], {})
+    out = tmp_path / "s"
+    text = run(capsys, "fit", str(tmp_path / "data"), "--out", str(out))
+    *_, verdict, command = text.splitlines()
+    kind = "test" if test_logs else "held-out"
+    assert f"in 1 {kind} log" in verdict
+    assert "% of its range" in verdict
+    assert command == f"next: softfin map {out} --out gaits"
+
+
 def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, monkeypatch):
     monkeypatch.setattr("softfin.data.stroke_time.stroke_time", lambda logs: 0.12)
     out = tmp_path / "s"
-    assert "stroke time 0.12 s: softfin train --clock auto would use 8 Hz" in run(
-        capsys, "fit", dataset, "--out", str(out)
-    )
+    text = run(capsys, "fit", dataset, "--out", str(out))
+    assert "strokes take 0.12 s: --clock auto means 8 Hz" in text
+    assert f"next: softfin map {out} --clock auto --out gaits" in text
     assert find_clock("auto", str(out)) == ActionClock.at(8, 0.75)
 
 
 def test_no_clock_is_proposed_without_strokes(capsys, tmp_path, dataset, asked):
     out = tmp_path / "s"
-    assert "stroke time" not in run(capsys, "fit", dataset, "--out", str(out))
+    assert "--clock" not in run(capsys, "fit", dataset, "--out", str(out))
     with pytest.raises(ConfigurationError, match=r"stroke time of .* is unknown; use a rate"):
         find_clock("auto", str(out))

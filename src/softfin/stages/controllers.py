@@ -129,7 +129,7 @@ def map_forces(
         "beyond": [list(force) for force in PAPER_REFERENCES if not reachable.contains(force)],
         "warning": star_warning(force_map, tolerance_n),
     }
-    return Result(values, _describe_map(values))
+    return Result(values, f"{_describe_map(values)}\n{next_step(out, plant)}")
 
 
 def _describe_map(values: JsonObject) -> str:
@@ -243,8 +243,15 @@ def train(
     head = f"{out}: evaluated in {plant_name(surrogate)}, without exploration noise"
     return Result(
         {"controller": str(out), "clock": str(settings.task.clock), "scores": scores},
-        "\n".join([head, *_score_table(scores), *missed_targets(scores)]),
+        "\n".join(
+            [head, *_score_table(scores), *missed_targets(scores), next_step(out, surrogate)]
+        ),
     )
+
+
+def next_step(controller: Path, plant: PlantLike) -> str:
+    """Return the command with which to try a controller next."""
+    return f"next: softfin evaluate {controller} --plant {plant_name(plant)}"
 
 
 def _score_table(scores: Sequence[JsonObject]) -> list[str]:

@@ -91,7 +91,7 @@ def fit(
     from softfin.surrogate import save_surrogate
     from softfin.surrogate.channels import SKIPPED, ranges
     from softfin.surrogate.table_one import measured_ranges, table_one
-    from softfin.surrogate.training import check_lengths
+    from softfin.surrogate.training import check_lengths, hold_out
 
     is_dataset = artifacts.is_kind(dataset, "dataset")
     description = artifacts.load_description(dataset, "dataset") if is_dataset else {}
@@ -108,17 +108,16 @@ def fit(
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
         _check_commands(dataset, opened.train)
-        # Check the test logs before the long fit, so that scoring cannot fail afterwards.
-        test = opened.test
-        check_lengths(test, SKIPPED, "test")
-        if test:
-            measured_ranges(test)
+        # Checked before the long fit, so that scoring cannot fail afterwards.
+        scored = opened.test or list(hold_out(opened.train, settings.held_out)[1])
+        check_lengths(scored, SKIPPED, "test" if opened.test else "held-out")
+        measured_ranges(scored)
         fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
 
         def keep(folder: Path) -> None:
             run_directory.keep_log(folder)
-            if test and test[0].rows > fitted.memory:
-                save_figure(_predict_test(fitted, test[0]), folder / "prediction.png")
+            if scored[0].rows > fitted.memory:
+                save_figure(_predict_test(fitted, scored[0]), folder / "prediction.png")
 
         # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
@@ -128,7 +127,7 @@ def fit(
         save_surrogate(
             out,
             fitted,
-            table_one(fitted, test) if test else None,
+            table_one(fitted, scored),
             provenance,
             extra_files=keep,
             overwrite=overwrite,
@@ -138,11 +137,11 @@ def fit(
             fin=description.get("fin"),
         )
     run_directory.finish()
-    return _summarize_fit(dataset, out, opened)
+    return _summarize_fit(dataset, out, opened, settings.held_out)
 
 
-def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs") -> Result:
-    from softfin.core.action_clock import ActionClock
+def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: float) -> Result:
+    from softfin.core.action_clock import PAPER_CLOCK, ActionClock
     from softfin.core.plant import EnsemblePlant
     from softfin.stages.tables import format_table_one
     from softfin.surrogate import load_surrogate
@@ -154,13 +153,16 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs") -> Result:
     caveat = surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None
     warning = _noise_warning(out, surrogate, opened.train)
     parts = [format_table_one(written["scores"])]
-    if stroke_s is not None:
-        parts.append(
-            f"stroke time {stroke_s:.2g} s: softfin train --clock auto would use "
-            f"{ActionClock.for_strokes(stroke_s)}"
-        )
     if caveat is not None:
         parts.append(f"note: {caveat}")
+    clock = ""
+    if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
+        parts.append(f"strokes take {stroke_s:.2g} s: --clock auto means {fitting}")
+        clock = " --clock auto"
+    parts.append(
+        f"{out}: {_verdict(written['scores'], opened, held_out)}\n"
+        f"next: softfin map {out}{clock} --out gaits"
+    )
     notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
     if warning is not None:
         notes += f"warning: {warning}\n"
@@ -175,6 +177,25 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs") -> Result:
         "warning": warning,
     }
     return Result(values, notes + "\n\n".join(parts))
+
+
+def _verdict(table: JsonObject, opened: "OpenedLogs", held_out: float) -> str:
+    """Return the error of the predicted force, also as a percentage of its range."""
+    from softfin.surrogate.channels import FORCES
+    from softfin.surrogate.table_one import measured_ranges
+    from softfin.surrogate.training import hold_out
+
+    scored = opened.test or list(hold_out(opened.train, held_out)[1])
+    kind = "test log" if opened.test else "held-out log"
+    # The last force predictor is the complete surrogate.
+    *_, force = (row for row in table.values() if row["unit"] == "N")
+    error_n = force["physical"]["rmse"]
+    spans = measured_ranges(scored)
+    range_n = max(spans[name] for name in FORCES)
+    return (
+        f"error of the predicted force {error_n:.2g} N (RMS) in {counted(len(scored), kind)}, "
+        f"{100 * error_n / range_n:.2g}% of its range"
+    )
 
 
 def issue_line(counts: Mapping[str, int], dataset: Path) -> str:

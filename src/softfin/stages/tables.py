@@ -32,10 +32,8 @@ def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> lis
     return lines
 
 
-def format_table_one(scores: JsonObject | None) -> str:
+def format_table_one(scores: JsonObject) -> str:
     """Return Table I in physical and scaled units."""
-    if scores is None:
-        return "no test logs: Table I has no rows"
     rows: list[list[object]] = [["Table I", "window", "parameters", "", "RMSE", "MAE", "DTW"]]
     for row in scores.values():
         titles = [row["title"], row["window"] or "-", f"{row['parameters']:,}"]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
@@ -73,6 +74,10 @@ class SurrogateConfig(Configuration):
 
     model: ClassVar[str]
     """Name of the architecture, as for `SurrogatePlant.model`."""
+
+    held_out: float = Field(default=0.1, gt=0, lt=1)
+    """Fraction of the training logs held out to choose the weights, and to calibrate intervals; at
+    least one log. Without test logs, the surrogate is scored on them."""
 
 
 class Architecture(NamedTuple):

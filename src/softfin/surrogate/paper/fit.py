@@ -55,8 +55,6 @@ class FitConfig(SurrogateConfig):
     """Number of windows per update."""
     learning_rate: float = Field(default=1e-3, gt=0)
     """Initial learning rate of Adam."""
-    held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out for early stopping; at least one log."""
 
 
 class Nets(NamedTuple):

@@ -93,9 +93,6 @@ class StreamingConfig(SurrogateConfig):
     free_running: tuple[float, float] = (0.2, 0.8)
     """Start and end of the transition from measured to predicted motion as input to the force
     networks, as fractions of their training."""
-    held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out to choose weights and calibrate intervals; at least
-    one log."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":
@@ -295,6 +292,7 @@ def fit_streaming(
         key = named_key(seed, f"fit/{name}")
         call, round_of = _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
+        text = f"{name} networks"
         while done[name] < updates[name]:
             state = states[name]
             losses = []
@@ -306,12 +304,16 @@ def fit_streaming(
                 losses.append(loss)
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
-                    progress("fit", part, f"{name} networks, loss {float(loss.mean()):.3g}")
+                    progress("fit", part, text)
             # A diverged network overflows here; keep_best_nets then stops with its own message.
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
             states[name], _ = keep_best_nets(state, losses, held_out, f"{name} networks")
             done[name] = until
+            # The sum over two channels: force (x, y), or scaled angle and velocity.
+            error = float(np.sqrt(held_out.mean() / 2))
+            unit = " N" if name == "force" else ""
+            text = f"{name} networks, error {error:.2g}{unit} in held-out logs"
             means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
             record.write(before + until, **jax.tree.map(float, means))
             run_directory.save(states, done)
