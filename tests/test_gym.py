@@ -17,6 +17,7 @@ from softfin.gaits.reachable import Cell
 from softfin.gym import ForceTrackingEnv
 from softfin.tank import Tank
 from softfin.task.task import TaskConfig
+from tests.documents import ROOT
 from tests.plants import AnalyticFin
 
 register()
@@ -164,6 +165,19 @@ def test_a_reference_can_be_asked_for(make: Callable[..., gymnasium.Env]) -> Non
     np.testing.assert_allclose(observation[1:3], np.array([2, -1]) / 3, rtol=1e-6)
     with pytest.raises(InputError, match=r"reference \(9, 0\) N is outside x 0 .. 4, y -2 .. 2 N"):
         env.reset(options={"reference": (9, 0)})
+
+
+def test_an_unknown_option_of_a_reset_is_refused(make: Callable[..., gymnasium.Env]) -> None:
+    with pytest.raises(InputError, match="unknown reset option 'ref'; use 'reference'"):
+        make().reset(options={"ref": (2.0, -1.0)})
+
+
+def test_observations_of_a_fin_that_turns_far_are_within_their_space() -> None:
+    env = gymnasium.make(ID, plant=str(ROOT / "examples/fins/turning.yaml"))
+    env.reset(seed=0)
+    for angle in (1.0, 1.0, 1.0, -1.0):
+        observation, *_ = env.step(np.array([angle, 1.0], np.float32))
+        assert env.observation_space.contains(observation)
 
 
 def test_an_action_outside_the_box_is_refused(make: Callable[..., gymnasium.Env]) -> None:

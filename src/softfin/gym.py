@@ -32,9 +32,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Track a reference force. Episodes never terminate; they are truncated after
     `config.episode_actions`.
 
-    The observations and actions are those of `ForceTracking`. `info` contains the window's
-    ``error_n``, its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the
-    ``force_n`` at every tick of the action.
+    An observation is the angle [units of 90 degrees], the reference (x, y) [units of
+    `config.force_scale_n`], and the last `config.past_actions` + 1 actions (angle, velocity), the
+    latest first. An action (angle, velocity) in [-1, 1] covers the limits of the plant.
+    `info` contains the window's ``error_n``, its Sobolev term ``smoothness_n``, the
+    ``reference_n`` (each x, y) and the ``force_n`` at every tick of the action.
 
     `plant` is a Plant or its name: tank, a tank's YAML file, a surrogate's folder or
     package.module:plant. The plant is loaded when the environment is created; create a new
@@ -61,12 +63,14 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self.metadata = self.metadata | {"render_fps": round(clock.rate_hz)}
         self.references = references
         self.render_mode = render_mode
-        # Bounds: half a turn of the shaft, the references, the actions.
+        # Bounds: the angle, which may overshoot its limits, the references, the actions.
+        limits = self.task.plant.limits
+        angle_rad = max(np.pi, 1.5 * abs(limits.angle_min), 1.5 * abs(limits.angle_max))
         greatest = np.abs([references.low, references.high]).max(axis=0)
         self._greatest_n = float(greatest.max())
         actions = [1.0] * (self.task.config.observations - 3)
         high = np.array(
-            [np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions],
+            [angle_rad / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions],
             np.float32,
         )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
@@ -85,6 +89,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         is drawn at random."""
         super().reset(seed=seed)
         references = self.references
+        if unknown := set(options or {}) - {"reference"}:
+            raise InputError(f"{ID}: unknown reset option {unknown.pop()!r}; use 'reference'")
         if options and "reference" in options:
             x, y = (float(value) for value in options["reference"])
             if references.distance((x, y)) > 0:

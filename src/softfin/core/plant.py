@@ -108,12 +108,12 @@ class EnsemblePlant(Plant, Protocol):
 
 def check_commands(limits: Limits, commands: Command) -> None:
     """Raise CommandError for commands outside the limits. Traced values are not checked, because
-    they are unknown."""
+    they are unknown; in a compiled program, a plant follows any command."""
     for name, unit, channel, low, high in (
         ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
     ):
-        if isinstance(channel, jax.core.Tracer):
+        if any(isinstance(value, jax.core.Tracer) for value in (channel, low, high)):
             continue
         values = np.asarray(channel)
         # Limits are in double precision and commands in single precision, whose rounding error

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.errors import LogError
+from softfin.core.errors import CommandError, LogError
 from softfin.core.plant import rest_command, roll
 from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
@@ -110,6 +110,12 @@ def test_warm_takes_a_unix_clock_and_counts_within_its_day(advance):
 def test_a_short_history_is_refused():
     with pytest.raises(LogError, match="history: 299 rows; this surrogate needs 300 rows"):
         PLANT.warm(small.valid_rows(LOG, 101, None))
+
+
+def test_a_command_outside_the_limits_is_refused():
+    state = PLANT.init(jax.random.key(0))
+    with pytest.raises(CommandError, match="the plant accepts"):
+        PLANT.advance(state, Command(3.0, 3.0), 1)
 
 
 def test_parameters_are_those_of_all_members():

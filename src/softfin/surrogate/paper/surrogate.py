@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Ticks, rest_command
+from softfin.core.plant import Ticks, check_commands, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
@@ -98,7 +98,9 @@ class Surrogate(eqx.Module):
     def advance(
         self, state: SurrogateState, command: Command, ticks: int
     ) -> tuple[SurrogateState, Reading]:
-        """Hold the command for `ticks` samples, computed as one batch per network."""
+        """Hold the command for `ticks` samples, computed as one batch per network; raises
+        CommandError for a command outside the limits."""
+        check_commands(self.limits, command)
         return self._held(state, command, ticks, ticks)
 
     def hold_action(

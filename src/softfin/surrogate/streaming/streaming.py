@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.compilation import jit
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import rest_command
+from softfin.core.plant import check_commands, rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import (
     ANGLE,
@@ -136,7 +136,8 @@ class StreamingSurrogate(eqx.Module):
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
         """Like `advance`, but return the readings of all members, with fields ``(members,
-        ticks)``."""
+        ticks)``; raises CommandError for a command outside the limits."""
+        check_commands(self.limits, command)
         held = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), command)
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
