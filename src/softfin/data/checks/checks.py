@@ -67,12 +67,12 @@ OFFSET_SHARE = 0.2
 """Largest plausible mean force on the fin at rest, divided by the standard deviation of the
 force."""
 
-MIN_DRIFT_S = 30
+MIN_DRIFT_S = 50
 """Shortest log in which a drift is told from the random motion [s]."""
 
-DRIFT_SHARE = 0.8
+DRIFT_SHARE = 0.7
 """Largest plausible drift of a force over a log, divided by its standard deviation; good logs of
-30 s have up to 0.73."""
+60 s have up to 0.56."""
 
 MIN_ROUGHNESS = 0.3
 """Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
@@ -308,15 +308,18 @@ def check_speed(log: CheckedLog) -> Iterator[Issue]:
         return
     name = "command velocity unit"
     severity: Severity = "error"
-    fix = _unit_option(log.config, "command_velocity", ratio)
-    if fix is None and 0.05 < ratio < 20:
+    option = _unit_option(log.config, "command_velocity", ratio)
+    fix = option or (
+        f"find the unit in the drive's manual; multiplied by {ratio:.3g}, the column is in rad/s"
+    )
+    # A clock, the angle's scale or a slow drive may be the reason for such ratios.
+    if option is None and 0.05 < ratio < 20:
         name = "speed"
         severity = "warning"
-    fix = fix or (
-        "compare the column with the drive's manual, and the clock with the loop's rate; if only "
-        f"the unit is wrong, multiply the column by {ratio:.3g}; angles in 10-bit counts (1,023 "
-        "are 300 degrees) that were read as 12-bit counts have a ratio of 0.29"
-    )
+        fix = (
+            "compare the column with the drive's manual, and the clock with the loop's rate; "
+            "10-bit counts (1,023 are 300 degrees) that were read as 12-bit counts have 0.29"
+        )
     message = f"the fin moves at {ratio:.3g} times the commanded velocity"
     yield log.issue(severity, name, "command_velocity", message, fix)
 
