@@ -247,7 +247,7 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
     from softfin.core.quantities import MAX_ANGLE_RAD, command_limits
 
     limits = command_limits(train)
-    if problem := limits.problem(one_velocity=True):
+    if problem := limits.problem():
         largest = max(abs(limits.angle_min), abs(limits.angle_max))
         hint = "; if they are in degrees, use --angles deg" if largest > MAX_ANGLE_RAD else ""
         raise LogError(f"{dataset}: the training commands: {problem}{hint}")
