@@ -6,10 +6,10 @@ Messages that cannot be used are dropped and counted. A bag is refused if none o
 left.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -44,10 +44,9 @@ from softfin.storage.bag.messages import (
 )
 from softfin.storage.bag.reader import (
     ENCODINGS,
-    BagContents,
     BagMessage,
     decode_message,
-    read_contents,
+    read_messages,
 )
 from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
 
@@ -86,6 +85,14 @@ class UnusableError(Exception):
     """A message without a reading; the text describes such messages."""
 
 
+class BagContents(NamedTuple):
+    """Types of the topics of a bag, and the messages of the topics that are read, sorted by time of
+    logging."""
+
+    types: dict[str, str]
+    messages: defaultdict[str, list[BagMessage]]
+
+
 Decoded = tuple[BagMessage, Any]
 """A message, and its decoded contents."""
 
@@ -93,8 +100,7 @@ Decoded = tuple[BagMessage, Any]
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
     """Read one bag; raises LogError for a damaged bag, or a topic without usable messages."""
     topics = DEFAULT_TOPICS | {"current": CURRENT} | config.topics
-    wanted = [topic.partition(":")[0] for topic in topics.values()]
-    contents = read_contents(path, [EVENTS, *wanted])
+    contents = _read_contents(path, [topic.partition(":")[0] for topic in topics.values()])
     tracks = []
     issues = []
     for role in READABLE_TYPES:
@@ -110,6 +116,18 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     return Recording(name, part, _merge_tracks(tracks), tuple(issues))
+
+
+def _read_contents(path: Path, wanted: Collection[str]) -> BagContents:
+    contents = BagContents({}, defaultdict(list))
+    for message in read_messages(path):
+        topic = message.topic
+        contents.types[topic] = message.kind
+        if topic in wanted or topic == EVENTS or topic.startswith(CHANNEL_TOPICS):
+            contents.messages[topic].append(message)
+    for messages in contents.messages.values():
+        messages.sort(key=lambda message: message.logged_ns)
+    return contents
 
 
 def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None:
@@ -340,20 +358,18 @@ def _topic_channels(
 def _check_publishers(track: Track, topic: str, name: str) -> list[Issue]:
     """Return an error if two publishers disagree about the joint."""
     order = np.argsort(track.time, kind="stable")
-    angle = track.channels["angle"][order]
-    rows = find_disagreements(track.time[order], angle)
+    rows = find_disagreements(track.time[order], track.channels["angle"][order])
     if len(rows) < MIN_DISAGREEMENTS:
         return []
-    row = int(rows[0])
     message = (
-        f"{topic}: jumps back and forth in {len(rows):,} of {len(angle):,} messages, first between "
-        f"{angle[row - 1]:.3g} and {angle[row]:.3g} rad: two publishers disagree about the joint"
+        f"{topic}: the angle jumps back and forth in {len(rows):,} of {len(order):,} messages: two "
+        "publishers disagree about the joint"
     )
     fix = (
         "stop the other publisher, such as joint_state_publisher, and record again; or choose a "
         "topic with one publisher, e.g. --topics joint=TOPIC"
     )
-    return [Issue("error", "two publishers", name, message, fix, "angle", row)]
+    return [Issue("error", "two publishers", name, message, fix, "angle", int(rows[0]))]
 
 
 def find_disagreements(
@@ -365,20 +381,18 @@ def find_disagreements(
     single fault of a sensor, but there the clock is as regular as elsewhere, and its neighbours
     are not faults.
     """
-    if len(angle) < 3:
-        return np.array([], int)
-    from_previous = angle[1:-1] - angle[:-2]
-    from_next = angle[1:-1] - angle[2:]
-    jump = np.minimum(np.abs(from_previous), np.abs(from_next))
+    to_next = np.diff(angle)[1:]
+    from_previous = np.diff(angle)[:-1]
+    jump = np.minimum(np.abs(from_previous), np.abs(to_next))
     is_away = (jump > MIN_DISAGREEMENT_RAD) & (jump < TURN_RAD - TURN_TOLERANCE_RAD)
-    is_away &= np.abs(from_previous - from_next) < jump / 3
-    is_other = np.pad(is_away, 1)
-    if is_other.sum() < MIN_DISAGREEMENTS:
-        return np.array([], int)
-    period_s = float(np.median(np.diff(time[~is_other])))
-    is_inserted = time[2:] - time[:-2] < 1.5 * period_s
-    is_alternating = is_other[:-2] | is_other[2:]
-    return np.flatnonzero(is_away & (is_inserted | is_alternating)) + 1
+    is_other = np.pad(is_away & (np.abs(from_previous + to_next) < jump / 3), 1)
+    rows = np.flatnonzero(is_other)
+    if not rows.size:
+        return rows
+    regular = time[~is_other]
+    is_inserted = time[rows + 1] - time[rows - 1] < 1.5 * np.median(np.diff(regular))
+    is_alternating = is_other[rows - 1] | is_other[rows + 1]
+    return np.asarray(rows[is_inserted | is_alternating])
 
 
 def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: Path) -> LogError:
