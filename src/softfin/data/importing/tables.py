@@ -136,7 +136,7 @@ def _read_column(
     kind = values.type
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return _floats(values.cast(pa.int64())), Column(column.name, kind.unit, True)
-    if not pa.types.is_string(kind):
+    if kind not in (pa.string(), pa.large_string()):
         check_unit(channel, column, str(path))
         try:
             return _floats(values), column
