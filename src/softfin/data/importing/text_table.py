@@ -68,18 +68,21 @@ def read_text_table(path: Path, name: str) -> Table:
     except UnicodeDecodeError:
         text = data.decode("cp1252", "replace")
     # A power cut leaves NUL characters in place of the last lines.
-    text = re.sub("\0+", "\n", text)
+    text = re.sub("\0+", "\nNUL bytes\n", text)
     layout = _find_layout(text, path)
     body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
+    cut = ""
+    if _is_cut(body):
+        body, _, cut = body.rpartition("\n")
     columns, dropped = _read_columns(body, layout, path)
-    if b"\0" in data and encoding != "utf-16":
-        dropped.append((len(columns[0]), "NUL bytes"))
+    if cut:
+        dropped.append((len(columns[0]), cut))
     issues = []
     if dropped:
         row, line = dropped[0]
         message = (
-            f"{counted(len(dropped), 'line')} without {len(columns)} cells dropped, the first at "
-            f"row {row}: {printable(line, most=60)!r}"
+            f"{counted(len(dropped), 'line')} without {len(columns)} complete cells dropped, the "
+            f"first at row {row}: {printable(line, most=60)!r}"
         )
         fix = "check the end of the recording, or whether other text was written to the file"
         severity = row_severity(len(dropped), len(columns[0]))
@@ -96,6 +99,13 @@ def read_text_table(path: Path, name: str) -> Table:
             names[index] += f" [{unit}]"
     columns = [column.filter(is_row) for column in columns]
     return Table([name.strip() for name in names], columns, starts, issues)
+
+
+def _is_cut(body: str) -> bool:
+    """Whether the last line ends within a number: with fewer digits than those above, all alike."""
+    lines = body[-1000:].split("\n")[-9:]
+    *above, last = [len(re.split("[.,]", line)[-1]) for line in lines]
+    return 0 < last < min(above, default=0) == max(above, default=0)
 
 
 def _find_layout(text: str, path: Path) -> _Layout:
