@@ -140,6 +140,8 @@ def test_a_table_is_read_however_it_is_written(tmp_path, content):
         (PLAIN[:-60] + 300 * "\0", slice(ROWS - 1)),
         (PLAIN.replace(LINES[9], LINES[9][:12] + LINES[9]), np.r_[:8, 9:ROWS]),
         (PLAIN.replace(LINES[9], "ERROR: timeout"), np.r_[:8, 9:ROWS]),
+        (PLAIN.replace(LINES[1], LINES[1][20:]), slice(1, ROWS)),
+        (PLAIN.replace(LINES[90], '"' + LINES[90][:20]), np.r_[:89, 90:ROWS]),
         (PLAIN + "end of recording\n", slice(None)),
     ],
     ids=[
@@ -150,6 +152,8 @@ def test_a_table_is_read_however_it_is_written(tmp_path, content):
         "cut and NUL",
         "two lines in one",
         "text",
+        "first",
+        "quote",
         "footer",
     ],
 )

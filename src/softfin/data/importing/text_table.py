@@ -80,12 +80,13 @@ def read_text_table(path: Path, name: str) -> Table:
     issues = []
     if dropped:
         row, line = dropped[0]
+        num_lines = sum(text.count("\n") + 1 for _, text in dropped)
         message = (
-            f"{counted(len(dropped), 'line')} without {len(columns)} complete cells dropped, the "
+            f"{counted(num_lines, 'line')} without {len(columns)} complete cells dropped, the "
             f"first at row {row}: {printable(line, most=60)!r}"
         )
         fix = "check the end of the recording, or whether other text was written to the file"
-        severity = row_severity(len(dropped), len(columns[0]))
+        severity = row_severity(num_lines, len(columns[0]))
         issues.append(Issue(severity, "dropped rows", name, message, fix, row=row))
     is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
     starts = [0]
@@ -130,11 +131,13 @@ def _find_layout(text: str, path: Path) -> _Layout:
 def _layout(lines: list[str], delimiter: str) -> _Layout | None:
     """Return the layout with a delimiter: a header above the first row of numbers, as wide."""
     above: list[list[str]] = []
+    num_above = 0
     for index, line in enumerate(lines):
         cells = _cells(line, delimiter)
         num_numbers = sum(map(_is_number, cells))
         if not num_numbers:
             above.append(cells)
+            num_above = index + 1
             continue
         width = len(cells)
         # A delimiter may end the rows, the header or both.
@@ -146,8 +149,7 @@ def _layout(lines: list[str], delimiter: str) -> _Layout | None:
             below = fitting[: fitting.index(header)]
             units = next((row for row in below if any(map(_is_unit, row))), [])
             units = [unit.strip(" []()") for unit in units]
-            return _Layout(delimiter, header, units, index, num_numbers)
-        above = []
+            return _Layout(delimiter, header, units, num_above, num_numbers)
     return None
 
 
@@ -190,7 +192,7 @@ def _read_columns(
         body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
     names = [str(number) for number in range(len(layout.header))]
     # A stray quote in a file without quotes would join all lines below it.
-    quote = '"' if '"' in body[:HEAD_BYTES] else False
+    quote = '"' if '"' in "".join(layout.header) + body[:1000] else False
     try:
         table = pyarrow.csv.read_csv(
             pa.BufferReader(body.encode("utf-8", "replace")),
