@@ -172,17 +172,18 @@ def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
         message = "spans -90 .. 90: degrees"
         return Issue(severity, name, "run.csv", message, "--angles deg", "angle", 7)
 
-    def opened(*issues):
-        return OpenedLogs((), Inspection(list(issues), []), "", {})
+    def opened(*issues, ignored=""):
+        config = ImportConfig.build({"ignore_errors": ignored})
+        return OpenedLogs((), Inspection(list(issues), []), "", {}, config)
 
     opened(issue("warning", "a"), issue("note", "b")).check_issues("runs")
-    errors = opened(issue("error", "a"), issue("error", "b"), issue("error", "c"))
-    errors.check_issues("runs", ("all",))
-    errors.check_issues("runs", ("c", "b", "a"))
+    errors = [issue("error", name) for name in "abc"]
+    opened(*errors, ignored="all").check_issues("runs")
+    opened(*errors, ignored="c,b,a").check_issues("runs")
     with pytest.raises(LogError, match="--ignore-errors b,c "):
-        errors.check_issues("runs", ("a",))
+        opened(*errors, ignored="a").check_issues("runs")
     with pytest.raises(LogError) as error:
-        errors.check_issues("runs")
+        opened(*errors).check_issues("runs")
     message = str(error.value)
     assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; ")
     assert all(words in message for words in ("--angles deg", "2 more", "--ignore-errors a,b,c "))

@@ -6,7 +6,7 @@ Shared by `softfin inspect`, `softfin import-logs` and `softfin fit`.
 import dataclasses
 import fnmatch
 import hashlib
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from softfin.core.configuration import read_yaml
@@ -56,10 +56,10 @@ class OpenedLogs:
                 "--test PATTERN, which selects the test logs"
             )
 
-    def check_issues(self, source: str, ignored: Collection[str] = ()) -> None:
+    def check_issues(self, source: str) -> None:
         """Raise LogError with the first error and the number of others, except for those that are
         ignored by name."""
-        errors = self.remaining_errors(ignored)
+        errors = self.remaining_errors()
         if not errors:
             return
         text = f"{errors[0].place}: {errors[0].message}"
@@ -69,9 +69,9 @@ class OpenedLogs:
             text += f"; {counted(len(errors) - 1, 'more error')} (softfin inspect lists all)"
         raise LogError(f"{source}: {text}; use {ignoring(errors)} to use these logs anyway")
 
-    def remaining_errors(self, ignored: Collection[str] = ()) -> list[Issue]:
+    def remaining_errors(self) -> list[Issue]:
         """Return the errors that are not ignored by name."""
-        names = {name.replace("-", " ") for name in (*ignored, *self.config.ignore_errors)}
+        names = {name.replace("-", " ") for name in self.config.ignore_errors}
         errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
         return [] if "all" in names else [issue for issue in errors if issue.name not in names]
 
@@ -88,11 +88,15 @@ def options_file(path: Path) -> Path:
     return folder / "log.yaml"
 
 
-def _saved_options(path: Path, given: ImportConfig | None) -> ImportConfig:
-    """Return the options saved beside the recordings, with those given, which win."""
-    file = options_file(path)
+def _saved_options(path: Path, given: ImportConfig | None, dataset: Dataset | None) -> ImportConfig:
+    """Return the options saved beside the recordings, with those given, which win. Errors that were
+    ignored when a dataset was imported still are."""
     saved = ImportConfig()
-    if file.is_file() and not artifacts.is_kind(path, "dataset"):
+    file = options_file(path)
+    if dataset is not None:
+        imported = dataset.description.get("options", {})
+        saved = ImportConfig(ignore_errors=imported.get("ignore_errors", ()))
+    elif file.is_file():
         saved = saved.merged(read_yaml(file), str(file))
     return saved.merged(given.model_dump(exclude_unset=True), "options") if given else saved
 
@@ -102,9 +106,9 @@ def open_logs(
 ) -> OpenedLogs:
     """Read and inspect all recordings at `path`; raises LogError or ArtifactError if they cannot be
     read."""
-    config = _saved_options(path, config)
     # Reject a dataset that was changed after it was written before reading anything.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
+    config = _saved_options(path, config, dataset)
     files = {file: _name(file, path) for file in find_recordings(path)}
     parts = _parts(list(files.values()), config.test)
     logs: list[NamedLog] = []

@@ -33,7 +33,7 @@ def inspect_logs(
         logs: A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags.
         out: Output folder for inspection.json and the figure.
         recordings: How to read recordings that softfin did not make.
-        save: Save these options as log.yaml beside the logs, for inspect, fit and import-logs.
+        save: Save these options as log.yaml beside the logs, where other commands find them.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 

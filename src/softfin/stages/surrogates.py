@@ -97,8 +97,7 @@ def fit(
     description = artifacts.load_description(dataset, "dataset") if is_dataset else {}
     opened = open_logs(dataset, recordings, progress)
     opened.check_train(str(dataset))
-    options = description.get("options", {})
-    opened.check_issues(str(dataset), options.get("ignore_errors", ()))
+    opened.check_issues(str(dataset))
     metadata = {
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
@@ -288,7 +287,7 @@ def calibrate(
     determined.
 
     Args:
-        data: Dataset, or a plant: tank, a tank's YAML file, a surrogate, package.module:plant.
+        data: Logs, or a plant: tank, a tank's YAML file, a surrogate or package.module:plant.
         out: Output folder for calibration.json and tank.yaml.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.

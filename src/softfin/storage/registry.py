@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from softfin.core.errors import ConfigurationError, PlantError, one_line
 from softfin.storage import artifact as artifacts
+from softfin.storage.paths import find_recordings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,12 +85,12 @@ def _name_path(name: str | Path) -> str:
 
 
 def check_data(name: "str | Path | Plant") -> None:
-    """Raise a SoftfinError if `name` is neither a dataset's folder nor a plant."""
+    """Raise a SoftfinError if `name` is neither a folder of logs nor a plant."""
     if not isinstance(name, str | Path):
         return
     path = Path(name)
     if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
-        artifacts.find_description(path, "dataset")
+        find_recordings(path)
     else:
         resolve_plant(str(name))
 

@@ -100,6 +100,7 @@ SAME = {
     "delimiter at the end of rows": joined([HEADER]) + joined(cells(series()), end=",\n"),
     "delimiter at the end of the header": joined([HEADER], end=",\n") + WITHOUT_HEADER,
     "delimiter at the end": PLAIN.replace("\n", ",\n"),
+    "no end of the last line": PLAIN[:-1],
     "comments in between": PLAIN.replace(LINES[9], "# marker\n\n" + LINES[9]),
     "cp1252": DEGREES.encode("cp1252"),
     "UTF-16": DEGREES.encode("utf-16"),
@@ -133,13 +134,28 @@ def test_a_table_is_read_however_it_is_written(tmp_path, content):
     ("content", "rows"),
     [
         (PLAIN[:-20], slice(ROWS - 1)),
+        (PLAIN[:-3], slice(ROWS - 1)),
+        (PLAIN.replace(",", ";").replace(".", ",")[:-3], slice(ROWS - 1)),
         (PLAIN + 300 * "\0", slice(None)),
         (PLAIN[:-60] + 300 * "\0", slice(ROWS - 1)),
         (PLAIN.replace(LINES[9], LINES[9][:12] + LINES[9]), np.r_[:8, 9:ROWS]),
         (PLAIN.replace(LINES[9], "ERROR: timeout"), np.r_[:8, 9:ROWS]),
+        (PLAIN.replace(LINES[1], LINES[1][20:]), slice(1, ROWS)),
+        (PLAIN.replace(LINES[90], '"' + LINES[90][:20]), np.r_[:89, 90:ROWS]),
         (PLAIN + "end of recording\n", slice(None)),
     ],
-    ids=["cut", "NUL", "cut and NUL", "two lines in one", "text", "footer"],
+    ids=[
+        "cut",
+        "cut in a number",
+        "cut, decimal commas",
+        "NUL",
+        "cut and NUL",
+        "two lines in one",
+        "text",
+        "first",
+        "quote",
+        "footer",
+    ],
 )
 def test_lines_that_are_no_rows_are_dropped_with_a_warning(tmp_path, content, rows):
     (recording,) = recordings = read(tmp_path / "run.csv", content)
@@ -309,6 +325,16 @@ def test_times_of_parquet_files_are_read(tmp_path, unit):
     (recording,) = read_table(tmp_path / "run.parquet", "run", "train", ImportConfig())
     if unit != "s":
         check_values(recording)
+
+
+@pytest.mark.parametrize("kind", [pa.string(), pa.large_string()])
+def test_texts_of_parquet_files_are_read(tmp_path, kind):
+    table = {}
+    for name, values in zip(HEADER, series(), strict=True):
+        table[name] = pa.array([f"{value:.5f}" for value in values], kind)
+    pq.write_table(pa.table(table), tmp_path / "run.parquet")
+    (recording,) = read_table(tmp_path / "run.parquet", "run", "train", ImportConfig())
+    check_values(recording)
 
 
 @pytest.mark.parametrize("size", [2, -1])

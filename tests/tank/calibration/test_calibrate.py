@@ -1,6 +1,7 @@
 """A tank is fitted to the logs of another tank, whose parameters are known."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -207,7 +208,7 @@ def test_velocities_that_a_plant_does_not_take_are_refused(velocity, message):
 
 
 def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path):
-    with pytest.raises(ArtifactError, match="not a dataset"):
+    with pytest.raises(LogError, match="contains no recordings"):
         material(tmp_path, CONFIG, 0)
     with pytest.raises(PlantError, match="plant nothing: unknown"):
         material("nothing", CONFIG, 0)
@@ -216,6 +217,16 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
     lonely = write_dataset(tmp_path / "lonely", dataset.load(dataset.train), [], {})
     with pytest.raises(ArtifactError, match="missing test logs"):
         material(lonely.path, CONFIG, 0)
+
+
+def test_recordings_are_read_with_the_options_beside_them(dataset, tmp_path):
+    for part in ("train", "test"):
+        shutil.copytree(dataset.path / part, tmp_path / part)
+    (tmp_path / "log.yaml").write_text("force: -x,-y\nignore_errors: [all]\n")
+    train, test, _ = material(tmp_path, CONFIG, 0)
+    for found, wanted in ((train, dataset.train), (test, dataset.test)):
+        for log, expected in zip(found, dataset.load(wanted), strict=True):
+            np.testing.assert_array_equal(log.reading.force, -expected.reading.force)
 
 
 def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):

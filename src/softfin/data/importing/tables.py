@@ -134,9 +134,9 @@ def _read_column(
         raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
     values = table.columns[table.names.index(column.name)]
     kind = values.type
-    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
         return _floats(values.cast(pa.int64())), Column(column.name, kind.unit, True)
-    if not pa.types.is_string(kind):
+    if kind not in (pa.string(), pa.large_string()):
         check_unit(channel, column, str(path))
         try:
             return _floats(values), column
@@ -188,8 +188,9 @@ def _signed(
 ) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
     """Return integers that a drive recorded without their sign, such as -1 as 65535, with it."""
     finite = values[np.isfinite(values)]
-    full = 2.0**16 if finite.max() < 2**16 else 2.0**32
-    is_unsigned = finite.min() >= 0 and finite.max() < full and not (finite % 1).any()
+    largest = finite.max(initial=0)
+    full = 2.0**16 if largest < 2**16 else 2.0**32
+    is_unsigned = finite.min(initial=0) >= 0 and largest < full and not (finite % 1).any()
     if not is_unsigned or np.abs(np.diff(finite)).max(initial=0) < full / 2:
         return values, []
     negative = values >= full / 2

@@ -68,21 +68,25 @@ def read_text_table(path: Path, name: str) -> Table:
     except UnicodeDecodeError:
         text = data.decode("cp1252", "replace")
     # A power cut leaves NUL characters in place of the last lines.
-    text = re.sub("\0+", "\n", text)
+    text = re.sub("\0+", "\nNUL bytes\n", text)
     layout = _find_layout(text, path)
     body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
+    cut = ""
+    if _is_cut(body):
+        body, _, cut = body.rpartition("\n")
     columns, dropped = _read_columns(body, layout, path)
-    if b"\0" in data and encoding != "utf-16":
-        dropped.append((len(columns[0]), "NUL bytes"))
+    if cut:
+        dropped.append((len(columns[0]), cut))
     issues = []
     if dropped:
         row, line = dropped[0]
+        num_lines = sum(text.count("\n") + 1 for _, text in dropped)
         message = (
-            f"{counted(len(dropped), 'line')} without {len(columns)} cells dropped, the first at "
-            f"row {row}: {printable(line, most=60)!r}"
+            f"{counted(num_lines, 'line')} without {len(columns)} complete cells dropped, the "
+            f"first at row {row}: {printable(line, most=60)!r}"
         )
         fix = "check the end of the recording, or whether other text was written to the file"
-        severity = row_severity(len(dropped), len(columns[0]))
+        severity = row_severity(num_lines, len(columns[0]))
         issues.append(Issue(severity, "dropped rows", name, message, fix, row=row))
     is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
     starts = [0]
@@ -96,6 +100,13 @@ def read_text_table(path: Path, name: str) -> Table:
             names[index] += f" [{unit}]"
     columns = [column.filter(is_row) for column in columns]
     return Table([name.strip() for name in names], columns, starts, issues)
+
+
+def _is_cut(body: str) -> bool:
+    """Whether the last line ends within a number: with fewer digits than those above, all alike."""
+    lines = body[-1000:].split("\n")[-9:]
+    *above, last = [len(re.split("[.,]", line)[-1]) for line in lines]
+    return 0 < last < min(above, default=0) == max(above, default=0)
 
 
 def _find_layout(text: str, path: Path) -> _Layout:
@@ -120,11 +131,13 @@ def _find_layout(text: str, path: Path) -> _Layout:
 def _layout(lines: list[str], delimiter: str) -> _Layout | None:
     """Return the layout with a delimiter: a header above the first row of numbers, as wide."""
     above: list[list[str]] = []
+    num_above = 0
     for index, line in enumerate(lines):
         cells = _cells(line, delimiter)
         num_numbers = sum(map(_is_number, cells))
         if not num_numbers:
             above.append(cells)
+            num_above = index + 1
             continue
         width = len(cells)
         # A delimiter may end the rows, the header or both.
@@ -136,8 +149,7 @@ def _layout(lines: list[str], delimiter: str) -> _Layout | None:
             below = fitting[: fitting.index(header)]
             units = next((row for row in below if any(map(_is_unit, row))), [])
             units = [unit.strip(" []()") for unit in units]
-            return _Layout(delimiter, header, units, index, num_numbers)
-        above = []
+            return _Layout(delimiter, header, units, num_above, num_numbers)
     return None
 
 
@@ -180,7 +192,7 @@ def _read_columns(
         body = re.sub(r"[ \t]+", " ", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", body))
     names = [str(number) for number in range(len(layout.header))]
     # A stray quote in a file without quotes would join all lines below it.
-    quote = '"' if '"' in body[:HEAD_BYTES] else False
+    quote = '"' if '"' in "".join(layout.header) + body[:1000] else False
     try:
         table = pyarrow.csv.read_csv(
             pa.BufferReader(body.encode("utf-8", "replace")),

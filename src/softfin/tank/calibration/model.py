@@ -25,9 +25,9 @@ from softfin.core.plant_identity import identity
 from softfin.core.quantities import RATE_HZ, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
+from softfin.data.recordings import open_logs
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
-from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank, TankConfig
 from softfin.tank.calibration.config import (
@@ -107,12 +107,13 @@ def material(
 ) -> tuple[list[Log], list[Log], JsonObject]:
     """Return the training logs, the test logs, and the hash of the data or the plant's identity.
 
-    `data` is the folder of a dataset, or a plant, its name, or the folder of a surrogate.
+    `data` is the folder of a dataset or of recordings with their options in log.yaml, or a plant,
+    its name, or the folder of a surrogate.
 
     Raises:
-        ArtifactError: the folder contains no dataset or surrogate, or the dataset contains no test
-            logs.
-        ConfigurationError: a velocity range is set for a dataset, or exceeds the plant's limits.
+        ArtifactError: there are no test logs.
+        LogError: the folder contains no logs, or logs with errors that are not ignored.
+        ConfigurationError: a velocity range is set for logs, or exceeds the plant's limits.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -123,15 +124,15 @@ def material(
         raise ConfigurationError(
             f"--velocity: {path} is a dataset, which contains its own commands; remove the option"
         )
-    dataset = Dataset.open(path)
-    if not dataset.test:
+    opened = open_logs(path)
+    opened.check_train(str(path))
+    opened.check_issues(str(path))
+    if not opened.test:
         raise ArtifactError(
             f"{path}: missing test logs, which are required to evaluate the fit; move some of the "
             f"logs to {path / 'test'}"
         )
-    train = list(dataset.load(dataset.train))
-    test = list(dataset.load(dataset.test))
-    return train, test, {"data_hash": dataset.data_hash}
+    return opened.train, opened.test, {"data_hash": opened.data_hash}
 
 
 class _Narrowed(eqx.Module):
