@@ -154,8 +154,11 @@ def test_evaluation(tmp_path: Path) -> None:
 
 
 def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Without its end, as after a power cut.
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((GOLDEN / "session.mcap").read_bytes()[:-40])
     out = str(tmp_path / "saved.mcap")
-    cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--out", out, "--json"])
+    cli.main(["bag", "recover", str(cut), "--out", out, "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
     options = softfin.ImportConfig(ignore_errors="all")
     softfin.import_logs(GOLDEN / "session.mcap", out=tmp_path / "dataset", recordings=options)
