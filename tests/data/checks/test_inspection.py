@@ -318,6 +318,15 @@ def test_commands_that_leave_their_range_empty_are_reported():
     assert "coverage" in grave(inspect(named(*tied, test=0)))
 
 
+def test_one_commanded_velocity_is_not_an_empty_range():
+    fixed = []
+    for log in tank_logs(5):
+        columns = to_columns(log)
+        columns["command_velocity_rad_s"] = 0 * columns["command_angle_rad"] + 3
+        fixed.append(log_of(columns))
+    assert "coverage" not in grave(inspect(named(*fixed, test=0)))
+
+
 def test_no_test_logs_is_a_note():
     issues = inspect(named(*tank_logs(2), test=0)).issues
     assert [(one.severity, one.name) for one in issues] == [("note", "no test logs")]

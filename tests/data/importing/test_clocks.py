@@ -217,6 +217,13 @@ def test_a_slow_source_is_a_warning():
     assert len(log.log.reading.time) == 999
 
 
+def test_the_rate_of_times_in_whole_milliseconds_is_their_mean():
+    time = np.round(np.arange(0, 20, 1 / 80), 3)
+    channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
+    _, issues = logs(Track(time, channels))
+    assert "sampled at 80.0 Hz" in issues[0].message
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
     one = track()

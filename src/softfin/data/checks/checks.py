@@ -572,15 +572,16 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)
         steps.append(pairs[1:][(np.diff(pairs, axis=0) != 0).any(axis=1)])
-    # 300 random commands leave hardly any of the 36 cells empty.
+    # 300 random commands leave hardly any of the 36 cells empty, or of 6 at one velocity.
     if sum(map(len, steps)) < 300:
         return
     angle, velocity = np.concatenate(steps).T
-    filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
+    cells = np.histogram2d(angle, velocity, bins=(6, 6 if np.ptp(velocity) > 0 else 1))[0]
+    filled = float((cells > 0).mean())
     if filled < 0.5:
         message = (
-            f"the commands fall into only {filled:.0%} of the 36 cells of their range of angle and "
-            "velocity"
+            f"the commands fall into only {filled:.0%} of the {cells.size} cells of their range of "
+            "angle and velocity"
         )
         fix = "record random angles and velocities, as softfin collect does"
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
