@@ -176,7 +176,8 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     # Unwrap first: derivatives, filters and interpolation must not see the jumps.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
-    issues += _check_rate(valid, name, config)
+    if not any(issue.name == "coarse clock" for issue in issues):
+        issues += _check_rate(valid, name, config)
     return valid, issues
 
 
