@@ -40,13 +40,13 @@ class Issue:
         return place
 
 
-ODD_SHARE = 0.05
-"""Share of the rows that cannot be used above which this is an error."""
+MAX_ODD_SHARE = 0.05
+"""Largest share of rows that may be dropped without an error."""
 
 
 def row_severity(num_odd: int, num_rows: int) -> Severity:
     """Return the severity of rows that are dropped: a few in a recording are usual."""
-    return "error" if num_odd > ODD_SHARE * num_rows else "warning"
+    return "error" if num_odd > MAX_ODD_SHARE * num_rows else "warning"
 
 
 def counted(number: int, noun: str) -> str:

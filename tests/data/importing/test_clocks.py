@@ -169,8 +169,8 @@ def test_a_few_repeated_and_backward_times_are_left_out_with_a_warning():
 def test_a_clock_coarser_than_the_rows_is_an_error_that_names_the_rate(rows_per_time, hz):
     time = np.arange(3000) // rows_per_time / 100
     _, issues = logs(Track(time, {name: np.sin(time + i) for i, name in enumerate(NAMES)}))
-    (error,) = [one for one in issues if one.severity == "error"]
-    assert (error.name, error.column) == ("coarse clock", "time")
+    (error,) = issues
+    assert (error.severity, error.name, error.column) == ("error", "coarse clock", "time")
     (rate,) = re.findall(r"--rate ([\d.]+) ", error.fix)
     assert float(rate) == pytest.approx(hz, rel=0.01)
 

@@ -15,7 +15,7 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.names import CHANNELS, UNITS
-from softfin.data.issues import ODD_SHARE, Issue, counted, row_severity
+from softfin.data.issues import MAX_ODD_SHARE, Issue, counted, row_severity
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
 COMMAND_CHANNELS = {"command_angle", "command_velocity"}
@@ -176,7 +176,8 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     # Unwrap first: derivatives, filters and interpolation must not see the jumps.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
-    issues += _check_rate(valid, name, config)
+    if not any(issue.name == "coarse clock" for issue in issues):
+        issues += _check_rate(valid, name, config)
     return valid, issues
 
 
@@ -213,7 +214,7 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
     fix = "rows that are not later than all previous rows are dropped; sort the rows by time"
     repeated = int((np.diff(track.time) == 0).sum())
     span_s = float(track.time[-1] - track.time[0])
-    if repeated > ODD_SHARE * len(forward) and span_s > 0:
+    if repeated > MAX_ODD_SHARE * len(forward) and span_s > 0:
         kind = "coarse clock"
         message = (
             f"the clock is coarser than the rows: {repeated:,} of {len(forward):,} rows have the "

@@ -30,7 +30,7 @@ TIME_OF_DAY = r"(?:(?P<hours>\d+):)?(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,:]
 
 HALF_DAY_S = 43_200.0
 
-SPARSE = 0.1
+MAX_MISSING_SHARE = 0.1
 """Share of missing values above which a table has been merged from several sources, each with its
 own rows."""
 
@@ -92,7 +92,7 @@ def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
         groups.setdefault(has_value.tobytes(), {})[channel] = values
         if channel in CHANNELS:
             fewest = min(fewest, int(has_value.sum()))
-    if fewest >= (1 - SPARSE) * len(table.time):
+    if fewest >= (1 - MAX_MISSING_SHARE) * len(table.time):
         return (table,), []
     tracks = []
     texts = []
