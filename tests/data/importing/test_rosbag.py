@@ -565,3 +565,19 @@ def test_a_simulation_that_starts_at_zero_has_a_stamp_there(tmp_path, columns, m
     (one,), issues = opened(tmp_path / "run")
     assert dropped(issues) == []
     assert one.log.reading.time[0] == one.start_s == 0
+
+
+def test_messages_out_of_order_are_sorted_by_their_stamps(tmp_path, columns):
+    topics = topics_of(columns, force_hz=100)
+    for messages in topics.values():
+        for index in range(1, len(messages) - 1, 7):
+            messages[index], messages[index + 1] = (
+                (messages[index][0], messages[index + 1][1]),
+                (messages[index + 1][0], messages[index][1]),
+            )
+    del topics["/fin/command"]
+    topics |= {"/fin/command": topics_of(columns)["/fin/command"]}
+    write_bag(tmp_path / "run", topics)
+    (one,), issues = opened(tmp_path / "run")
+    check(one, columns)
+    assert not [issue for issue in issues if issue.severity != "note"]

@@ -71,6 +71,9 @@ MAX_CLOCK_OFFSET_S = 1800.0
 """Largest difference between the clocks of two topics [s]: less than between time zones. Clocks
 that start at 0 with the computer or a simulation are decades behind."""
 
+MAX_DISORDER_S = 1.0
+"""Largest step back of the stamps of messages that are only out of order [s]."""
+
 MIN_DISAGREEMENT_RAD = 0.05
 """Smallest jump that shows a second publisher [rad]: more than a fin at 3 Hz deviates from a
 straight line in 10 ms."""
@@ -240,8 +243,14 @@ def _read_topic(
     values = np.array(rows, np.float64)
     # A value too large for a float32 log is treated as missing.
     values[np.abs(values) > np.finfo(np.float32).max] = np.nan
-    channels, issues = _topic_channels(values, role, config, where, name)
-    time, found = _times(usable, role, topic, config, name)
+    time, issues = _times(usable, role, topic, config, name)
+    # Messages may be logged out of order; a larger step back is a restart of the clock.
+    steps = np.diff(time[np.isfinite(time)])
+    if steps.min(initial=0.0) > -MAX_DISORDER_S:
+        order = np.argsort(time, kind="stable")
+        time = time[order]
+        values = values[order]
+    channels, found = _topic_channels(values, role, config, where, name)
     issues += found
     track = Track(time, channels)
     is_stamped = np.isfinite(time)
@@ -357,13 +366,12 @@ def _topic_channels(
 
 def _check_publishers(track: Track, topic: str, name: str) -> list[Issue]:
     """Return an error if two publishers disagree about the joint."""
-    order = np.argsort(track.time, kind="stable")
-    rows = find_disagreements(track.time[order], track.channels["angle"][order])
+    rows = find_disagreements(track.time, track.channels["angle"])
     if len(rows) < MIN_DISAGREEMENTS:
         return []
     message = (
-        f"{topic}: the angle jumps back and forth in {len(rows):,} of {len(order):,} messages: two "
-        "publishers disagree about the joint"
+        f"{topic}: the angle jumps back and forth in {len(rows):,} of {len(track.time):,} "
+        "messages: two publishers disagree about the joint"
     )
     fix = (
         "stop the other publisher, such as joint_state_publisher, and record again; or choose a "
