@@ -72,7 +72,7 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
         expected = (
-            r"^drive 1: in use by another program on this computer \(process "
+            r"^drive 1: in use by another program \(process "
             rf"{other.pid}\); end it first$"
         )
         with pytest.raises(RigError, match=expected):

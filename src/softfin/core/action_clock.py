@@ -43,8 +43,8 @@ class ActionClock(Configuration):
             )
         if self.window_actions % len(self.ticks):
             raise ValueError(
-                f"window_actions = {self.window_actions}: the window must be a whole number of "
-                f"cycles of {len(self.ticks)} actions; use a multiple of {len(self.ticks)}"
+                f"window_actions = {self.window_actions}: must be a multiple of {len(self.ticks)} "
+                "(one clock cycle)"
             )
         return self
 

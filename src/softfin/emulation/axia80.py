@@ -92,7 +92,7 @@ class EmulatedAxia80(EmulatedSensor[bytes]):
         super().__init__(fin, rate_hz, clock, frame)
 
     def address(self) -> JsonObject:
-        """Return its address and ports, as in a rig's file."""
+        """Return the address and ports in the format of a rig file."""
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
 
     def reboot(self, seconds: float = 0.5) -> None:

@@ -100,7 +100,7 @@ class Ros2Config(RealFinConfig):
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """Load a rig's file (default: rig.yaml); raises RigError with the key, its value and the
+    """Load a rig file (default: rig.yaml); raises RigError with the key, its value and the
     allowed values."""
     file = path or RIG_FILE
     config = _load(file, RigConfig)

@@ -55,7 +55,7 @@ def failing(
 
 
 class DeviceConfig(Configuration):
-    """Configuration of a device in a rig's file; `type` selects the device."""
+    """Configuration of a device in a rig file; `type` selects the device."""
 
     DEFAULT_TYPE: ClassVar[str]
     """Type of a device without the key `type`."""
@@ -80,7 +80,7 @@ class DriveConfig(DeviceConfig):
 
     DEFAULT_TYPE = "epos2"
     NEEDS_BUS: ClassVar[bool] = False
-    """Whether the rig's file needs a CAN bus for this drive."""
+    """Whether the rig file needs a CAN bus for this drive."""
     ZERO_POWERS_MOTOR: ClassVar[bool] = True
     """Whether `Drive.zero` powers the motor and therefore needs a proof of the drive's own stop."""
 

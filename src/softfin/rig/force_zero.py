@@ -71,7 +71,7 @@ def tolerance_scale(config: RigConfig) -> float:
 
 def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | None:
     """Make an open sensor use the recorded zero and return it, or None if there is none; raises
-    RigError if the zero is of another sensor or of other settings."""
+    RigError if the zero is from a different sensor or different settings."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None

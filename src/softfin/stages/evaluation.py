@@ -54,7 +54,7 @@ def evaluate(
 
     Args:
         controllers: Controller folder; several of different seeds are evaluated together.
-        plant: tank, a YAML file, a surrogate's folder, package.module:plant, rig[:FILE] or
+        plant: tank, a YAML file, a surrogate folder, package.module:plant, rig[:FILE] or
             ros2[:FILE].
         out: Output folder for evaluation.json and the figures (default: only print the scores).
         reference: Reference force [N], such as --reference=1,-0.5; may be repeated (default: the

@@ -269,7 +269,7 @@ def calibrate(
     determined.
 
     Args:
-        data: Dataset, or a plant: tank, a tank's YAML file, a surrogate, package.module:plant.
+        data: Dataset, or a plant: tank, a tank YAML file, a surrogate, package.module:plant.
         out: Output folder for calibration.json, tank.yaml and the figures.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.

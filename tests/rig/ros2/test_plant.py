@@ -365,7 +365,7 @@ def test_only_one_program_commands_a_fin_but_it_may_command_several_fins():
     first.open()
     with pytest.raises(
         RigError,
-        match=rf"fin behind {topic}: in use by another program on this computer \(process "
+        match=rf"fin behind {topic}: in use by another program \(process "
         rf"{os.getpid()}\); end it first",
     ):
         made().open()

@@ -234,7 +234,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
             "--negate velocity",
         )
     elif correlation < 0.5:
-        fix = "map another column, or use --columns velocity=- to derive it from the angle"
+        fix = "map a different column, or use --columns velocity=- to derive it from the angle"
         message = f"{message}: probably not the fin's velocity"
         yield log.issue("warning", "velocity", "velocity", message, fix)
     elif not 0.5 < slope < 2:

@@ -235,8 +235,8 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
             f"{name}: column time: one row every {1 / rate:g} s ({rate:g} Hz); must be "
-            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; if the time is in another unit, set it, e.g. "
-            "--time-unit ms"
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; if the time is in a different unit, set "
+            "it, e.g. --time-unit ms"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"sampled at {rate:.1f} Hz, below {RATE_HZ} Hz: missing rows are interpolated"

@@ -106,7 +106,7 @@ class ImportConfig(Configuration):
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:
-    """Return the +x and +y components of a force in another frame."""
+    """Return the +x and +y components of a force in a different frame."""
     source = {"x": x, "y": y, "-x": -x, "-y": -y}
     return [source[term] for term in frame.split(",")]
 

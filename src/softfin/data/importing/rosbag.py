@@ -131,7 +131,7 @@ def _read_channel(
     if not connections:
         raise LogError(
             f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
-            "set another one with --topics"
+            "set a different one with --topics"
         )
     logged = []
     values = []

@@ -190,6 +190,6 @@ def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(
-            f"{path}: column {name!r} has type {column.type}, must be numeric; choose another "
+            f"{path}: column {name!r} has type {column.type}, must be numeric; choose a different "
             "column or convert it"
         ) from None

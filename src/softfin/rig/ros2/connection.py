@@ -255,7 +255,7 @@ def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
 
 
 def check_frame(message: Any, frame: str) -> None:
-    """Raise ValueError if a message is in another frame; an empty frame means ours."""
+    """Raise ValueError if a message is in a different frame; an empty frame means ours."""
     theirs = message.header.frame_id
     if theirs not in ("", frame):
         raise ValueError(f"its frame is {theirs!r}, expected {frame!r}")

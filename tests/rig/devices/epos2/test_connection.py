@@ -40,7 +40,7 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
         ):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
         with pytest.raises(
-            DeviceError, match=r"refused mode .*0x06090030, .* use a value in the rig's file"
+            DeviceError, match=r"refused mode .*0x06090030, .* use a value in the rig file"
         ):
             connection.write(protocol.MODE, 8)
         with pytest.raises(

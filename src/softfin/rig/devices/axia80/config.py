@@ -1,4 +1,4 @@
-"""Configuration of the force sensor in a rig's file."""
+"""Configuration of the force sensor in a rig file."""
 
 from typing import Literal
 

@@ -336,7 +336,7 @@ class Dynamixel:
                     self._watch_shaft(before)
                     return silent_s
                 if line := self._fault():
-                    raise DeviceError(f"servo stopped for another reason: {line}")
+                    raise DeviceError(f"servo stopped for a different reason: {line}")
                 silence_s += protocol.WATCHDOG_UNIT_S
         raise DeviceError(
             f"servo ignores the loss of softfin's instructions: it did not stop within "
@@ -381,7 +381,7 @@ class Dynamixel:
         silent_s = self._asked - self._time
         if silent_s > self.config.heartbeat_s:
             lines.append(
-                f"{self.link.name}: no usable answer for {silent_s:.2f} s; check its supply and "
+                f"{self.link.name}: no usable response for {silent_s:.2f} s; check its supply and "
                 "cable, and that no second servo has its ID"
             )
         if self._unanswered >= UNANSWERED:
@@ -462,7 +462,7 @@ class Dynamixel:
         return self._known_status()
 
     def _check_delay(self) -> None:
-        """Measure how fast and how reliably the servo answers."""
+        """Measure how fast and how reliably the servo responds."""
         for _ in range(DELAY_ATTEMPTS):
             delays = self._measure_delays()
             if self.counted["late answers"] < MEASURED_READINGS / 2:
@@ -473,13 +473,13 @@ class Dynamixel:
             self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
             raise DeviceError(
-                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} answers are usable; "
-                "check its cable, termination and baud, and that no second servo has its ID"
+                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are usable; check "
+                "its cable, termination and baud, and that no second servo has its ID"
             )
         median_s = sorted(delays)[len(delays) // 2]
         if median_s > SLOWEST_ANSWER_S:
             raise RigError(
-                f"{self.link.name}: answers take {1e3 * median_s:.0f} ms, which is too long for "
+                f"{self.link.name}: responses take {1e3 * median_s:.0f} ms, which is too long for "
                 "100 Hz; set the latency timer of the USB adapter to 1 ms"
             )
 
@@ -516,7 +516,7 @@ class Dynamixel:
             moved_rad = max(moved_rad, angle - self.units.angle(before), key=abs)
             self.clock.sleep(TICK_S)
         if not is_read:
-            raise DeviceError(f"{self.link.name}: no answer after it stopped; check its cable")
+            raise DeviceError(f"{self.link.name}: no response after it stopped; check its cable")
         if abs(moved_rad) > MOVED_RAD:
             raise DeviceError(
                 f"servo: turned the fin by {moved_rad:+.2f} rad during the stop test, possibly due "

@@ -1,4 +1,4 @@
-"""Instructions to one servo and its answers, over a serial port.
+"""Instructions to one servo and its responses, over a serial port.
 
 The port is half-duplex: an instruction is sent only after the answer to the one before, or after
 its time is over. Any thread may send; the lock keeps instructions apart.
@@ -34,7 +34,7 @@ SETUP_ANSWER_S = 0.1
 
 
 class NoAnswer(DeviceError):
-    """The servo did not answer in time."""
+    """The servo did not respond in time."""
 
 
 class RefusedError(DeviceError):
@@ -153,7 +153,7 @@ class ServoLink:
         if answer is None:
             self.counters["answers missing"] += 1
             raise NoAnswer(
-                f"{self.name}: no answer to {what} within {1e3 * answer_s:.0f} ms; check its "
+                f"{self.name}: no response to {what} within {1e3 * answer_s:.0f} ms; check its "
                 "supply, cable, ID and baud"
             )
         code = answer[0] & ~ALERT

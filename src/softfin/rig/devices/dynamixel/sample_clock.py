@@ -1,4 +1,4 @@
-"""Age of a servo's answers, from its own clock in them."""
+"""Age of servo responses, from the servo clock in them."""
 
 from softfin.rig.devices.dynamixel.protocol import TICK_RANGE, TICK_UNIT_S
 

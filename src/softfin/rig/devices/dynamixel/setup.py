@@ -47,7 +47,7 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
 
 
 def answer_everything(link: ServoLink) -> None:
-    """Make the servo answer every instruction, which another program may have changed."""
+    """Make the servo respond to every instruction, which another program may have changed."""
     with suppress(NoAnswer):
         link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
 
@@ -106,7 +106,7 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
 
 def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
     """Raise RigError if the servo is in fault, already powered, or set up differently from the
-    rig's file."""
+    rig file."""
     if fault := read_fault(link):
         raise RigError(f"{fault}; {RESET}")
     if link.read(protocol.TORQUE_ENABLE):

@@ -106,7 +106,7 @@ class LineSource(RecordSource):
         if self.counted["malformed"]:
             problem = f"no line with columns {', '.join(self.config.columns)}, e.g. "
             problem += self._shown_example()
-        return f"{problem}; {self.remedy}, and columns, separator and baud in the rig's file"
+        return f"{problem}; {self.remedy}, and columns, separator and baud in the rig file"
 
     def complaints(self) -> list[str]:
         """Return the faults of the port and of the lines."""
