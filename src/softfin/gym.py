@@ -32,7 +32,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Track a reference force. Episodes never terminate; they are truncated after
     `config.episode_actions`.
 
-    The observations and actions are those of `ForceTracking`. `info` contains the window's
+    Observations and actions are the same as in `ForceTracking`. `info` contains the window's
     ``error_n``, its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the
     ``force_n`` at every tick of the action.
 

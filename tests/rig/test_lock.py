@@ -73,7 +73,7 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
     with another_program(folder) as other:
         expected = (
             r"^drive 1: in use by another program \(process "
-            rf"{other.pid}\); end it first$"
+            rf"{other.pid}\); close that program first$"
         )
         with pytest.raises(RigError, match=expected):
             lock.acquire(COMPUTER)

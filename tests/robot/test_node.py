@@ -92,7 +92,7 @@ class Pool:
         self.transport.put("/robot/stop", self.messages.make("std_msgs/msg/Bool", told))
 
     def run(self, seconds=4.0):
-        """Run for so long; what the node raises at the end, and a stop was sent to every fin."""
+        """Run for so long; what the node raises at the end, with a stop sent to every fin."""
         self.at(seconds, lambda: self.request.ask("emergency_stop", "the end"))
         with pytest.raises(SoftfinError) as raised:
             self.node.run(self.request)
@@ -256,7 +256,7 @@ def test_a_silent_fin_stops_the_robot():
 def test_a_silent_fin_that_may_be_dead_is_and_the_others_go_on():
     pool = Pool(silent_fin="dead")
     pool.at(1.0, lambda: pool.alive.discard("back_left"))
-    # Whoever comes back is told to stop.
+    # A fin that comes back is stopped.
     pool.at(3.0, lambda: pool.alive.add("back_left"))
     assert "the end" in str(pool.run(8.0))
     dead = [line for line in pool.told if "declared dead" in line]

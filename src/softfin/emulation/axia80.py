@@ -1,6 +1,6 @@
 """An emulated Axia80, loaded by an emulated fin: implements RDT over UDP and serves its web pages.
 
-The fin's wrench is rotated into the sensor's axes and converted to counts; loads out of range are
+The fin's wrench is rotated into the sensor axes and converted to counts; loads out of range are
 flagged.
 """
 

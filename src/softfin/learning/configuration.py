@@ -26,7 +26,7 @@ CHECKED_POINTS = 8
 
 
 class TrainConfig(Configuration):
-    """Configuration of a training run; the defaults are those of a single policy."""
+    """Configuration of a training run; the defaults suit a single policy."""
 
     controller: PolicyLayout = "single"
     """Type of controller: one policy for all references (`single`), or one per cell (`grid`)."""
@@ -96,9 +96,9 @@ TRAIN_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
 
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
-    """Adapt a configuration to a different clock. Numbers of actions are scaled so that their
-    durations stay the same; the number of updates does not change. A longer window scales the durations by
-    the same factor."""
+    """Adapt a configuration to a different clock. Numbers of actions are scaled to
+    keep their durations; the number of updates does not change. A longer window scales the
+    durations by the same factor."""
     own = config.task.clock
     ratio = clock.rate_hz / own.rate_hz * max(1, clock.window_ticks / own.window_ticks)
     cycle = len(clock.ticks)

@@ -1,7 +1,7 @@
 """The record of a rig, stored as JSON next to its file: rig.record.json for rig.yaml.
 
 The file describes the setup of a rig. The record contains what was measured on it: whether the
-drive stops by itself if softfin dies, and when the sensor's zero was set. A rig built in Python
+drive stops by itself if softfin dies, and when the sensor zero was set. A rig built in Python
 without a file has no record.
 """
 
@@ -60,7 +60,7 @@ class ForceZero(Configuration):
     date: str
     """Date and time, as ISO 8601."""
     wrench: tuple[float, float, float, float, float, float]
-    """Wrench that softfin subtracts, in the sensor's axes [N, N m]."""
+    """Wrench that softfin subtracts, in the sensor axes [N, N m]."""
     sensor: dict[str, JsonValue]
     """Configuration of the sensor without its address, and its `identity`."""
 
@@ -80,7 +80,7 @@ def date_and_time() -> str:
 
 
 def record_file(rig: Path) -> Path:
-    """Return the path of a rig's record, next to the rig file."""
+    """Return the path of a rig record, next to the rig file."""
     return rig.with_suffix(".record.json")
 
 

@@ -159,7 +159,7 @@ def _evaluate_simulated(
             raise ConfigurationError(
                 f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
-        # At 0, use the tank itself: RandomizedTank would also change the sensor's noise.
+        # At 0, use the tank itself: RandomizedTank would also change the sensor noise.
         target = target if widths.is_none else RandomizedTank(target, widths)
     metadata = {
         "plant": str(plant),

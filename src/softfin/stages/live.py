@@ -396,8 +396,8 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
     elif any(bags.glob("*.parquet")):
         if not resume:
             raise ArtifactError(
-                f"{bags}: contains finished logs; continue with --resume, choose a different --out, "
-                "or move the folder away"
+                f"{bags}: contains finished logs; continue with --resume, choose a different "
+                "--out, or move the folder away"
             )
         # Through JSON and back, so that tuples and numbers compare equal to those in the file.
         before = artifacts.read_json(state)

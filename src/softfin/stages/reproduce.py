@@ -257,8 +257,8 @@ def _clear(out: Path, plant: str) -> None:
             shutil.rmtree(folder)
     except OSError as error:
         raise RunError(
-            f"{out}: cannot be replaced ({error.strerror or error}); remove it, or choose a different "
-            "--out"
+            f"{out}: cannot be replaced ({error.strerror or error}); remove it, or choose a "
+            "different --out"
         ) from None
 
 

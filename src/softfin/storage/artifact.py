@@ -35,8 +35,8 @@ def check_vacant(
     if Path.cwd().is_relative_to(path.resolve()):
         # The output replaces the folder, and relative paths would no longer refer to anything.
         raise ArtifactError(
-            f"{path}: is or contains the current folder, which cannot be replaced; choose a different "
-            f"{option}"
+            f"{path}: is or contains the current folder, which cannot be replaced; choose a "
+            f"different {option}"
         )
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):

@@ -27,7 +27,7 @@ SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 Topic = Literal["command", "joint", "wrench", "current"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
-"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor's axes."""
+"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor axes."""
 
 
 class ImportConfig(Configuration):

@@ -184,7 +184,7 @@ class Subscription(Generic[Value]):
         return self._subscriber.mismatched()
 
     def explain_publishers(self) -> str | None:
-        """Explain why the topic's publishers cannot be used, ending with the fix; None if there is
+        """Explain why the topic publishers cannot be used, ending with the fix; None if there is
         exactly one."""
         publishers = sorted(self._subscriber.publishers())
         if not publishers:

@@ -51,7 +51,7 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
             connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
         made.emulated.go_silent()
         began = made.clock()
-        with pytest.raises(DeviceError, match=r"did not answer for statusword .* within 0.5 s"):
+        with pytest.raises(DeviceError, match=r"did not respond for statusword .* within 0.5 s"):
             connection.read(protocol.STATUSWORD)
         assert made.clock() - began == pytest.approx(SDO_TIMEOUT_S)
 

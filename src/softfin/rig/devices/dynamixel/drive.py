@@ -111,7 +111,7 @@ class Dynamixel:
 
     def _reset(self) -> None:
         self.notes: tuple[str, ...] = ()
-        """Notes on the servo's setup since it was opened, one line each."""
+        """Notes on the servo setup since it was opened, one line each."""
         self.counted: Counter[str] = Counter()
         self.status: Status | None = None
         self._asked = self._time = 0.0
@@ -145,7 +145,7 @@ class Dynamixel:
             raise
 
     def open(self) -> None:
-        """Connect, check, and select what is read; the motor stays off. On failure, close
+        """Connect, check, and select the entries to read; the motor stays off. On failure, close
         again."""
         self.connect()
         try:
@@ -242,7 +242,7 @@ class Dynamixel:
         if not _is_applied(offset):
             degrees = 360 * (status.position - applied) / TICKS_PER_TURN
             raise RigError(
-                f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
+                f"the servo horn is at {degrees:.0f} degrees; mount the fin so that it is within "
                 "90 degrees of the middle, 180, when the fin is at zero"
             )
         try:
@@ -261,7 +261,7 @@ class Dynamixel:
         self._homing_offset = offset
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the servo's fault and return its description; None if there was none. Raises
+        """Acknowledge the servo fault and return its description; None if there was none. Raises
         DeviceError if the fault persists.
 
         The motor stays off. The drive must be reopened before it can be enabled.
@@ -473,8 +473,8 @@ class Dynamixel:
             self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
             raise DeviceError(
-                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are usable; check "
-                "its cable, termination and baud, and that no second servo has its ID"
+                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are usable; "
+                "check its cable, termination and baud, and that no second servo has its ID"
             )
         median_s = sorted(delays)[len(delays) // 2]
         if median_s > SLOWEST_ANSWER_S:
@@ -493,7 +493,7 @@ class Dynamixel:
         return delays
 
     def _fault(self) -> str | None:
-        """Return the servo's fault as of the latest status; None if there is none."""
+        """Return the servo fault as of the latest status; None if there is none."""
         if self._restarted:
             return "servo restarted; check its supply and cable, then start again"
         status = self.status
@@ -536,7 +536,7 @@ class Dynamixel:
             # The next status shows whether the servo has it.
             pass
         except RefusedError as error:
-            # softfin's targets are within the servo's limits, so DATA_RANGE means that the bus
+            # softfin's targets are within the servo limits, so DATA_RANGE means that the bus
             # watchdog has tripped.
             is_tripped = error.code == Refusal.DATA_RANGE
             self._trouble = WATCHDOG_LINE if is_tripped else str(error)
@@ -671,7 +671,7 @@ class Dynamixel:
         """Return the motion that brakes from the latest status; None if it could turn the fin
         somewhere else.
 
-        From a status that is not fresh, the position is extrapolated, at most to the servo's goal.
+        From a status that is not fresh, the position is extrapolated, at most to the servo goal.
         """
         status = self.status
         if status is None:

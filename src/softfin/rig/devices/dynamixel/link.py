@@ -122,7 +122,7 @@ class ServoLink:
     def _using_port(self) -> Iterator[SerialPort]:
         """Lock the port for one instruction; raises DeviceError if the port cannot be used."""
         if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
-            raise DeviceError(f"{self.name}: another request is still unanswered; try again")
+            raise DeviceError(f"{self.name}: an earlier request is still pending; try again")
         try:
             if self._port is None:
                 raise DeviceError(f"{self.name}: not open; open it first")

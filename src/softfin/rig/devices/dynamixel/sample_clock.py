@@ -13,7 +13,7 @@ FORGOTTEN_S = 5.0
 
 
 class SampleClock:
-    """Detects answers to earlier requests: a packet does not contain what it answers, and a USB
+    """Detects responses to earlier requests: a packet does not identify its request, and a USB
     adapter or a busy computer may deliver it after the next request."""
 
     def __init__(self) -> None:

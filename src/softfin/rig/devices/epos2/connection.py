@@ -156,7 +156,7 @@ class CanConnection:
         # The receiver's thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
-                f"drive's {entry} cannot be accessed: another request is still unanswered; try "
+                f"drive's {entry} cannot be accessed: an earlier request is still pending; try "
                 "again"
             )
         try:

@@ -98,7 +98,7 @@ class LineSource(RecordSource):
             yield CheckResult("force sensor", "note", text)
 
     def explain_silence(self) -> str:
-        """Return the columns that were expected and an example of what arrived."""
+        """Return the expected columns and an example of a received line."""
         if self._senders:
             others = " and ".join(self._senders)
             return f"records come only from {others}; check address and udp_port"
