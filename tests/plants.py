@@ -91,6 +91,9 @@ class Flapper(eqx.Module):
         """Covers everything."""
 
 
+SERVO_VELOCITY_RAD_S = 4.0
+
+
 class StrokeFin(eqx.Module):
     """No dynamics but the shaft's place: a stroke to a target pushes steadily, the more the longer
     and faster it is.
@@ -136,6 +139,15 @@ class StrokeFin(eqx.Module):
         """A stroke is one whole, which many ticks one by one are not."""
         (_, angle), reading = self.advance(state, command, rows)
         return (jnp.asarray(reading.time)[ticks - 1], angle), reading
+
+
+class ServoFin(StrokeFin):
+    """A fin whose drive has no velocity command."""
+
+    @property
+    def limits(self) -> Limits:
+        velocity = SERVO_VELOCITY_RAD_S
+        return PAPER_LIMITS._replace(velocity_min=velocity, velocity_max=velocity)
 
 
 class Misread(PlainFin):

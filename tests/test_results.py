@@ -161,6 +161,7 @@ def test_every_benchmark_is_a_part():
         "__init__",
         "__main__",
         "compilation",
+        "flops",
         "measure",
         "nets",
         "recurrent",

@@ -10,7 +10,57 @@ from typing import NamedTuple
 import numpy as np
 
 from softfin.core.quantities import TICK_S
-from softfin.robot.body_config import GRAVITY_M_S2, BodyConfig
+from softfin.robot.description import Three
+
+GRAVITY_M_S2 = 9.81
+
+
+class BodyDescription(NamedTuple):
+    """A rigid body in water, in body axes about the origin: x forward, y left, z up (REP 103)."""
+
+    mass_kg: float
+    """Mass [kg]."""
+    inertia_kg_m2: Three
+    """Principal moments of inertia about the centre of gravity [kg m2]."""
+    added_mass: tuple[float, ...] = (0, 0, 0, 0, 0, 0)
+    """Added mass along x, y and z [kg], and added inertia about them [kg m2]."""
+    centre_of_gravity_m: Three = (0, 0, 0)
+    """Centre of gravity [m]."""
+    centre_of_buoyancy_m: Three = (0, 0, 0)
+    """Centre of buoyancy [m]."""
+    buoyancy_n: float | None = None
+    """Buoyancy [N]; None means neutral buoyancy."""
+
+    @property
+    def upward_n(self) -> float:
+        """Buoyancy [N]."""
+        return self.mass_kg * GRAVITY_M_S2 if self.buoyancy_n is None else self.buoyancy_n
+
+    def inertia(self) -> np.ndarray:
+        """Return the inertia about the origin as a matrix ``(6, 6)``, including the added mass
+        (Fossen 2021, 3.3)."""
+        x, y, z = self.centre_of_gravity_m
+        # M = [[m I, -m S], [m S, I_g - m S S]], with S v = r_g x v.
+        lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        mass = self.mass_kg
+        own = np.block(
+            [
+                [mass * np.eye(3), -mass * lever],
+                [mass * lever, np.diag(self.inertia_kg_m2) - mass * lever @ lever],
+            ]
+        )
+        return np.asarray(own + np.diag(self.added_mass))
+
+
+UCAT = BodyDescription(
+    mass_kg=18.5,
+    inertia_kg_m2=(0.1574, 0.4646, 0.5115),
+    added_mass=(40, 21, 149, 0.127, 1.205, 2.306),
+    centre_of_gravity_m=(0, 0, -0.02),
+    centre_of_buoyancy_m=(0, 0, 0.03),
+)
+"""U-CAT's body. Inertia: CAD figures in the code of the ARROWS project (the simulator has 0.45, 0.3,
+0.70); the rest: its laboratory's simulator eeUVsim_Gazebo, whose axes are y right, z down."""
 
 
 class BodyState(NamedTuple):
@@ -30,7 +80,7 @@ class Body:
     """Inertia, drag, weight and buoyancy of a body."""
 
     def __init__(
-        self, config: BodyConfig, drag_linear: np.ndarray, drag_quadratic: np.ndarray
+        self, config: BodyDescription, drag_linear: np.ndarray, drag_quadratic: np.ndarray
     ) -> None:
         """The drag coefficients are for surge, sway, heave, roll, pitch and yaw [N s/m, N m s] and
         [N s2/m2, N m s2]."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from body import REST, Body, BodyState
+from body import REST, UCAT, Body, BodyState
 from fins import TankFins
 
 from softfin.control.store import load_controller
@@ -165,7 +165,7 @@ def main() -> None:
         1.0 * np.array([np.cos(pushed), np.sin(pushed), 0]),
         options.seconds / 2,
     )
-    body = Body(robot.body, DRAG_LINEAR, DRAG_QUADRATIC)
+    body = Body(UCAT, DRAG_LINEAR, DRAG_QUADRATIC)
     run = hold_position(robot, body, fins.tick, options.max_thrust, options.seconds, push)
     draw(run, options.out)
     last = run.distance_m[-10 * RATE_HZ :]

@@ -159,7 +159,4 @@ def tank(seeds: Sequence[int]) -> Part:
                 figures[f"from_{low}.{channel}"] = figure("R2", scores_of(rows, channel), others)
         return figures
 
-    pictures = {"docs/calibration.png": "calibration/calibration.png"}
-    return Part(
-        "The default tank against the published fin", (PUBLISHED, fitted, judged), read, pictures
-    )
+    return Part("The default tank against the published fin", (PUBLISHED, fitted, judged), read)

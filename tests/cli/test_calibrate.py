@@ -49,7 +49,6 @@ RESULT = {
             "determined": "low end",
         },
     },
-    "trades": [{"parameters": ["fin.length_m", "water.drag_coefficient"], "correlation": -0.95}],
 }
 
 
@@ -59,12 +58,8 @@ def test_errors_of_a_small_fin_have_two_digits():
     assert "0.900 (0.0034 N)" in text
 
 
-def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
+def test_the_table_says_what_is_determined_and_what_is_at_an_end():
     text = calibration_tables(RESULT)
     assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
     assert "fin.length_m    0.2  0.013  m        roughly" in text
     assert "drive.lag_s   0.003         s        low end" in text
-    assert (
-        "fin.length_m and water.drag_coefficient trade off against each other: correlation -0.95"
-        in text
-    )

@@ -31,25 +31,6 @@ def test_check_prints_rank_and_reach(capsys):
     assert "U-CAT: 4 fins, rank 6 of 6" in told
     assert "without back_left: rank 6" in told
     assert "heave  up to 12.00 N" in told
-    assert (
-        "self-righting with 9.07 N m/rad: oscillates in roll at 0.89 Hz and pitch at 0.37 Hz"
-        in told
-    )
-    assert "warning" not in told
-
-
-def test_check_warns_of_a_body_that_does_not_stay_upright(capsys, tmp_path, ucat_file):
-    file = tmp_path / "unstable.yaml"
-    file.write_text(
-        ucat_file.replace(
-            "centre_of_buoyancy_m: [0, 0, 0.03]", "centre_of_buoyancy_m: [0, 0, -0.03]"
-        )
-    )
-    main(["robot", "check", str(file), "--max-thrust", "3"])
-    assert (
-        "warning: body: unstable in roll and pitch: weight and buoyancy turn it"
-        in capsys.readouterr().out
-    )
 
 
 @pytest.fixture
@@ -162,10 +143,3 @@ def test_fins_that_are_not_there_end_the_node_in_one_line(capsys, transport):
         "after 0.1 s no publisher on /ucat/front_right/joint_states, "
         in capsys.readouterr().err.splitlines()[-1]
     )
-
-
-@pytest.fixture
-def ucat_file():
-    from importlib.resources import files
-
-    return files("softfin.robot").joinpath("robots/ucat.yaml").read_text()

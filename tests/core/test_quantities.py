@@ -78,10 +78,11 @@ def test_a_fin_rests_at_0_or_at_the_end_of_its_range_closest_to_it(low, high, re
     assert float(rest_command(limits).angle) == pytest.approx(rest)
 
 
-def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
+def test_a_fin_may_have_one_velocity_but_not_0():
     limits = PAPER_LIMITS._replace(velocity_min=2.0, velocity_max=2.0)
-    assert limits.problem(one_velocity=True) is None
-    assert "velocity_min < velocity_max" in (limits.problem() or "")
+    assert limits.problem() is None
+    still = PAPER_LIMITS._replace(velocity_min=0.0, velocity_max=0.0)
+    assert "0 < velocity_max" in (still.problem() or "")
 
 
 def log_of_commands(*angles):
@@ -102,7 +103,7 @@ def log_of_commands(*angles):
 def test_a_range_of_commands_that_ends_near_rest_ends_there(angles, ends):
     limits = command_limits([log_of_commands(angles[0]), log_of_commands(angles[1])])
     assert limits == Limits(*ends, 2.0, 2.0)
-    assert limits.problem(one_velocity=True) is None
+    assert limits.problem() is None
 
 
 @pytest.mark.parametrize(

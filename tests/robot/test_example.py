@@ -9,18 +9,11 @@ import pytest
 from softfin.control.controller import Measured
 from softfin.control.store import load_controller
 from softfin.core.quantities import RATE_HZ
-from softfin.robot.body_config import BodyConfig
 from softfin.stages.example import EXAMPLE
 from softfin.tank import Tank, TankConfig
 from tests.documents import ROOT
 from tests.staged import COARSE
 
-BOX = BodyConfig(
-    mass_kg=6,
-    inertia_kg_m2=(0.05, 0.1, 0.12),
-    added_mass=(4, 8, 12, 0.05, 0.1, 0.1),
-    centre_of_gravity_m=(0.01, 0.02, -0.03),
-)
 NONE = np.zeros(6)
 
 
@@ -35,12 +28,22 @@ def example(monkeypatch):
 
 
 @pytest.fixture
+def box(example):
+    return sys.modules["body"].BodyDescription(
+        mass_kg=6,
+        inertia_kg_m2=(0.05, 0.1, 0.12),
+        added_mass=(4, 8, 12, 0.05, 0.1, 0.1),
+        centre_of_gravity_m=(0.01, 0.02, -0.03),
+    )
+
+
+@pytest.fixture
 def gaits():
     return load_controller(EXAMPLE / "gaits")
 
 
-def test_nothing_but_drag_takes_energy_from_a_body(example):
-    config = BOX.model_copy(update={"centre_of_gravity_m": (0, 0, 0)})
+def test_nothing_but_drag_takes_energy_from_a_body(example, box):
+    config = box._replace(centre_of_gravity_m=(0, 0, 0))
     body = example.Body(config, NONE, NONE)
     for twist in np.random.default_rng(0).normal(size=(20, 6)):
         state = example.REST._replace(twist=twist)
@@ -48,16 +51,16 @@ def test_nothing_but_drag_takes_energy_from_a_body(example):
         assert power == pytest.approx(0, abs=1e-9)
 
 
-def test_the_axes_of_a_body_stay_at_right_angles(example):
-    body = example.Body(BOX, NONE, NONE)
+def test_the_axes_of_a_body_stay_at_right_angles(example, box):
+    body = example.Body(box, NONE, NONE)
     state = example.REST._replace(twist=np.array([0.3, -0.2, 0.1, 0.8, -0.5, 1.0]))
     for _ in range(1000):
         state = body.step(state, NONE, np.zeros(3))
     np.testing.assert_allclose(state.rotation @ state.rotation.T, np.eye(3), atol=1e-9)
 
 
-def test_a_body_that_is_pushed_reaches_the_speed_at_which_drag_equals_the_push(example):
-    config = BOX.model_copy(update={"centre_of_gravity_m": (0, 0, 0)})
+def test_a_body_that_is_pushed_reaches_the_speed_at_which_drag_equals_the_push(example, box):
+    config = box._replace(centre_of_gravity_m=(0, 0, 0))
     body = example.Body(config, np.full(6, 2.0), np.full(6, 8.0))
     state = example.REST
     current = np.array([0.0, 0.2, 0.0])
@@ -69,10 +72,8 @@ def test_a_body_that_is_pushed_reaches_the_speed_at_which_drag_equals_the_push(e
     assert state.position[1] == pytest.approx(0.2 * 60), "carried along"
 
 
-def test_a_body_turns_upright(example):
-    config = BOX.model_copy(
-        update={"centre_of_gravity_m": (0, 0, -0.03), "centre_of_buoyancy_m": (0, 0, 0.03)}
-    )
+def test_a_body_turns_upright(example, box):
+    config = box._replace(centre_of_gravity_m=(0, 0, -0.03), centre_of_buoyancy_m=(0, 0, 0.03))
     body = example.Body(config, np.full(6, 0.5), NONE)
     tilted = np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
     state = example.REST._replace(rotation=tilted)
@@ -112,7 +113,7 @@ def test_fins_on_a_body_at_rest_make_the_forces_of_their_gaits(example, gaits):
 @pytest.mark.parametrize("direction", [0.0, 1.6, 3.0])
 def test_the_robot_returns_after_a_push_against_the_current(example, direction):
     robot = example.load_robot("ucat")
-    body = example.Body(robot.body, example.DRAG_LINEAR, example.DRAG_QUADRATIC)
+    body = example.Body(example.UCAT, example.DRAG_LINEAR, example.DRAG_QUADRATIC)
     matrix = robot.matrix()
     around = np.array([np.cos(direction), np.sin(direction), 0])
     push = example.Push(0.03 * around, around, 30.0)

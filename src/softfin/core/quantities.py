@@ -110,7 +110,7 @@ closer to the end of a range."""
 ALLOWED_LIMITS = (
     f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
     f"{MAX_ANGLE_RAD:.3f} rad and "
-    f"0 <= velocity_min < velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s"
+    f"0 <= velocity_min <= velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s, and 0 < velocity_max"
 )
 
 
@@ -130,7 +130,7 @@ class Limits(NamedTuple):
         }
 
     @classmethod
-    def of(cls, description: object, one_velocity: bool = False) -> "Limits":
+    def of(cls, description: object) -> "Limits":
         """Build from the result of `to_dict`; raises ValueError with the allowed values."""
         values = []
         for name in cls(0, 0, 0, 0).to_dict():
@@ -141,7 +141,7 @@ class Limits(NamedTuple):
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
             values.append(float(value))
         limits = cls(*values)
-        if problem := limits.problem(one_velocity):
+        if problem := limits.problem():
             raise ValueError(problem)
         return limits
 
@@ -151,13 +151,9 @@ class Limits(NamedTuple):
         along -x, or the end of the range that is closest to 0."""
         return min(max(0.0, self.angle_min), self.angle_max)
 
-    def problem(self, one_velocity: bool = False) -> str | None:
+    def problem(self) -> str | None:
         """Describe the problem with these limits and the allowed values; None if a fin can have
-        them.
-
-        With `one_velocity`, both velocities may be equal: a surrogate can be fitted to such a fin,
-        but no controller can be trained for it.
-        """
+        them. Both velocities are equal for a drive without a velocity command."""
         named = self.to_dict()
         for name, value in named.items():
             low, high = (
@@ -166,10 +162,8 @@ class Limits(NamedTuple):
             # Written so that NaN fails: it is not within any range.
             if not low <= value <= high:
                 return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
-        velocities = self.velocity_min < self.velocity_max or (
-            one_velocity and self.velocity_min == self.velocity_max
-        )
-        if not (self.angle_min < self.angle_max and velocities):
+        is_ordered = self.angle_min < self.angle_max and self.velocity_min <= self.velocity_max
+        if not is_ordered or self.velocity_max == 0:
             return (
                 f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; "
                 f"{ALLOWED_LIMITS}"

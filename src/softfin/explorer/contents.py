@@ -136,8 +136,8 @@ def hand_data(limits: Sequence[Limits], clock: ActionClock, size: float | None) 
     """Return the data of the user's hand, which moves fins within all these limits in place of a
     controller.
 
-    `size` is the fin size of the controllers on the page; without one, the page finds the size of the fin
-    from its forces.
+    `size` is the fin size of the controllers on the page; without one, the page finds it from the
+    forces of the fin.
     """
     highest = np.max(limits, axis=0)
     lowest = np.min(limits, axis=0)

@@ -126,7 +126,7 @@ class DriveConfig(DeviceConfig):
 
     @model_validator(mode="after")
     def _limits_fit(self) -> "DriveConfig":
-        if problem := self.limits.problem(one_velocity=True):
+        if problem := self.limits.problem():
             raise ValueError(problem)
         braking_s = self.fastest_rad_s / self.quick_stop_rad_s2
         if braking_s > MAX_BRAKE_S:

@@ -1,4 +1,4 @@
-"""The robot's file: body, fins and allocation. `ucat` is built in. Does not import JAX."""
+"""The robot's file: fins and allocation. `ucat` is built in. Does not import JAX."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -10,7 +10,6 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration, parse_yaml, read_yaml
 from softfin.core.errors import ConfigurationError
-from softfin.robot.body_config import BodyConfig, Three
 
 BUILT_IN = ("ucat",)
 """Robots included in softfin."""
@@ -20,6 +19,7 @@ WRENCH_AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 UNIT_TOLERANCE = 1e-3
 
+Three = tuple[float, float, float]
 Six: TypeAlias = tuple[
     PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat
 ]
@@ -81,8 +81,6 @@ class RobotConfig(Configuration):
 
     name: str
     """Name of the robot."""
-    body: BodyConfig
-    """Body without its fins."""
     fins: dict[str, FinMountConfig] = Field(min_length=1)
     """Fins by name."""
     allocation: AllocationConfig = AllocationConfig()

@@ -26,31 +26,21 @@ ROBOT = Parameter(metavar="ROBOT")
 
 
 def check(robot: Annotated[PathLike, ROBOT] = "ucat", *, max_thrust: float | None = None) -> Result:
-    """Check a robot with several fins: rank, singular values, reach and stability.
+    """Check a robot with several fins: rank, singular values and reach.
 
     Args:
         robot: Name of a robot, or its YAML file.
         max_thrust: Maximum mean force that each fin can produce in every direction [N].
 
     Returns:
-        Rank, singular values, largest forces and moments, and problems.
+        Rank, singular values, and largest forces and moments.
     """
     from softfin.robot.check import check_robot
     from softfin.robot.description import load_robot, max_thrust_per_fin
 
     body = load_robot(str(robot))
     found = check_robot(body, max_thrust_per_fin(body, max_thrust))
-    lines = _reach_lines(found)
-    if abs(found["sinks_n"]) > 1e-3:
-        verb = "sinks" if found["sinks_n"] > 0 else "rises"
-        lines.append(f"{verb} with {abs(found['sinks_n']):.2f} N")
-    if found["swing_hz"]:
-        swings = " and ".join(f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items())
-        lines.append(
-            f"self-righting with {found['righting_nm_rad']:.2f} N m/rad: oscillates in {swings}"
-        )
-    lines.extend(f"warning: {problem}" for problem in found["problems"])
-    return Result(found, "\n".join(lines))
+    return Result(found, "\n".join(_reach_lines(found)))
 
 
 def evaluate(
@@ -216,11 +206,7 @@ def _reach_lines(found: JsonObject) -> list[str]:
     lines.append(f"maximum mean force of each fin  {reach}")
     # Three forces, then three moments.
     for index, (name, most) in enumerate(found["reach"].items()):
-        unit, acceleration_unit = ("N", "m/s2") if index < 3 else ("N m", "rad/s2")
-        acceleration = found["acceleration"][name]
-        lines.append(
-            f"{name:6} up to {most:5.2f} {unit} ({acceleration:.2f} {acceleration_unit} from rest)"
-        )
+        lines.append(f"{name:6} up to {most:5.2f} {'N' if index < 3 else 'N m'}")
     return lines
 
 

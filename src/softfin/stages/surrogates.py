@@ -74,7 +74,7 @@ def fit(
         Table I, issue counts, stroke time, a caveat, and a warning if noise hides the force.
 
     Raises:
-        LogError: The logs have errors, which are not ignored, now or when they were imported.
+        LogError: The logs have errors that were not ignored, neither now nor at import.
 
     Example:
         >>> softfin.fit("dataset", out="surrogate", config={"members": 3})
@@ -247,7 +247,7 @@ def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
     from softfin.core.quantities import MAX_ANGLE_RAD, command_limits
 
     limits = command_limits(train)
-    if problem := limits.problem(one_velocity=True):
+    if problem := limits.problem():
         largest = max(abs(limits.angle_min), abs(limits.angle_max))
         hint = "; if they are in degrees, use --angles deg" if largest > MAX_ANGLE_RAD else ""
         raise LogError(f"{dataset}: the training commands: {problem}{hint}")
@@ -270,7 +270,7 @@ def calibrate(
 
     Args:
         data: Dataset, or a plant: tank, a tank YAML file, a surrogate, package.module:plant.
-        out: Output folder for calibration.json, tank.yaml and the figures.
+        out: Output folder for calibration.json and tank.yaml.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.
         config: `CalibrateConfig`; its fields are options too, such as --evaluations 0.
@@ -321,9 +321,4 @@ def calibration_tables(result: JsonObject) -> str:
     for name, row in result["parameters"].items():
         error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
         parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
-    trades = [
-        f"{' and '.join(pair['parameters'])} trade off against each other: correlation "
-        f"{pair['correlation']:+.2f}"
-        for pair in result["trades"]
-    ]
-    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3)), *trades])
+    return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3))])

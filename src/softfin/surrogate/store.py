@@ -72,7 +72,7 @@ def load_surrogate(path: Path) -> SurrogatePlant:
     try:
         surrogate = architecture.load(description, weights, source)
         # Validates the limits: those of the paper's networks come from the scaling, unchecked.
-        Limits.of(surrogate.limits.to_dict(), one_velocity=True)
+        Limits.of(surrogate.limits.to_dict())
         return surrogate
     except ConfigurationError as error:
         raise ArtifactError(

@@ -159,7 +159,6 @@ def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(d
     assert recording.model_dump() == result["recording"]
     assert result["provenance"]["data_hash"] == dataset.data_hash
     assert {file.name for file in out.iterdir()} >= {
-        "calibration.png",
         "training",
     }
     assert not list(tmp_path.glob(".*"))

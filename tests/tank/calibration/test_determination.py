@@ -60,14 +60,6 @@ def test_errors_that_last_are_not_counted_as_independent():
     assert lasting / brief == pytest.approx(np.sqrt(20), rel=0.2)
 
 
-def test_parameters_that_do_the_same_trade_against_each_other(slopes):
-    slopes[1] = slopes[0] + 0.05 * slopes[1]
-    text = determination(linear(slopes, white), 20, PARAMETERS)
-    assert text["trades"][0]["parameters"] == ["fin.length_m", "fin.span_m"]
-    assert text["trades"][0]["correlation"] < -0.99
-    assert len(text["trades"]) == 1
-
-
 def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(slopes):
     slopes[2] = 0.0
     found = linear(slopes, white, point=(0.5, 1.0, 0.5))

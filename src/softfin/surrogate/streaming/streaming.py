@@ -252,7 +252,7 @@ class StreamingSurrogate(eqx.Module):
             }
 
         trees = restored(eqx.filter_eval_shape(skeleton), weights, source)
-        limits = Limits.of(description["limits"], one_velocity=True)
+        limits = Limits.of(description["limits"])
         interval = Interval.model_validate(description["interval"])
         return cls(trees["members"], limits, interval, trees["familiarity"])
 

@@ -8,22 +8,19 @@ tank refines it. The Jacobian at the optimum shows which parameters the logs det
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
 import yaml
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Command, Log
-from softfin.core.window import window_means
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import (
@@ -38,9 +35,6 @@ from softfin.tank.calibration.search import Losses, determination, misfits, poli
 
 ChannelScores: TypeAlias = dict[str, dict[str, float]]
 """``r2`` and ``rmse`` by channel."""
-
-TRACE_S = 10
-"""Plotted duration of a test segment [s]."""
 
 POPULATION = 16
 """Number of tanks per generation of the global search, which are simulated together."""
@@ -75,11 +69,12 @@ class Calibration:
     ) -> JsonObject:
         """Write the folder, completely or not at all, and return the content of its
         ``calibration.json`` (see docs/files.md)."""
-        modelled = self.read(self.test.command)
-        unseen = scores(modelled, self.test)
         summary = {
             **artifacts.head("calibration"),
-            "scores": {"train": scores(self.read(self.train.command), self.train), "test": unseen},
+            "scores": {
+                "train": scores(self.read(self.train.command), self.train),
+                "test": scores(self.read(self.test.command), self.test),
+            },
             **self.determination,
             "recording": self.recording.model_dump(),
             **metadata,
@@ -90,7 +85,6 @@ class Calibration:
             _write_yaml(folder / "tank.yaml", self.tank, "The fitted tank.")
             head = "How the logs differ from the readings of that tank."
             _write_yaml(folder / "recording.yaml", self.recording, head)
-            save_figure(calibration_figure(self.test, modelled, unseen), folder / "calibration.png")
             extra_files(folder)
 
         artifacts.write_folder(out, write, overwrite)
@@ -192,62 +186,3 @@ def scores(
             "rmse": float(np.sqrt(square)),
         }
     return rows
-
-
-def calibration_figure(
-    test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: ChannelScores
-) -> Figure:
-    """Plot the test segment with the median error, and the 2 s mean forces of all segments."""
-    measured = np.asarray(test.measured)
-    ticks = slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
-    # In units of each channel's standard deviation, so that angle and forces can be added.
-    error = (modelled - measured)[:, test.warm_up :] / np.asarray(test.deviation)
-    shown = int(np.argsort(np.mean(error**2, axis=(1, 2)))[len(error) // 2])
-    command = np.asarray(test.command.angle)[shown, ticks]
-    time = np.arange(len(command)) / RATE_HZ
-    with styled():
-        figure = new_figure(11, 9.5)
-        parts: Any = figure.subfigures(2, 1, height_ratios=(1.75, 1))
-        panels = parts[0].subplots(3, 1, sharex=True)
-        panels[0].step(
-            time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded"
-        )
-        titles = ("angle [rad]", "force x [N]", "force y [N]")
-        for index, (axes, title, channel) in enumerate(
-            zip(panels, titles, FITTED_CHANNELS, strict=True)
-        ):
-            axes.plot(
-                time, measured[shown, ticks, index], color=BLACK, linewidth=1.6, label="measured"
-            )
-            axes.plot(
-                time,
-                modelled[shown, ticks, index],
-                color=ORANGE,
-                linewidth=1.3,
-                linestyle="--",
-                label="tank",
-            )
-            axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
-            axes.set_title(f"R² {scores[channel]['r2']:.3f} over all test segments", loc="right")
-        panels[0].set_title("Test segment with the median error", weight="bold")
-        panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
-        panels[-1].set_xlabel("time [s]")
-        ours, theirs = (
-            window_means(series[:, test.warm_up :]).reshape(-1, len(FITTED_CHANNELS))
-            for series in (modelled, measured)
-        )
-        axes = parts[1].subplots()
-        axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8)
-        for index, colour, marker in ((1, BLUE, "o"), (2, ORANGE, "s")):
-            axes.plot(
-                theirs[:, index],
-                ours[:, index],
-                marker,
-                markersize=4,
-                color=colour,
-                label=titles[index],
-            )
-        axes.set(xlabel="measured [N]", ylabel="tank [N]", aspect="equal")
-        axes.set_title("Mean forces over 2 s in test segments")
-        axes.legend(loc="best")
-    return figure

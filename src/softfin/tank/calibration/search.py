@@ -14,7 +14,6 @@ never reached, is excluded.
 """
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -184,9 +183,6 @@ def _scale(errors: np.ndarray) -> np.float32:
     return np.float32(1 / np.sqrt(errors.size))
 
 
-TRADING = 0.9
-"""Correlation above which two parameters are reported as a trade-off."""
-
 VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
 """Verdicts by remaining uncertainty: standard error divided by the standard deviation of the
 range."""
@@ -209,7 +205,7 @@ def determination(
     """Estimate how well the logs determine the parameters.
 
     Returns:
-        ``parameters`` by name, ``trades`` between pairs of them, and the number of ``blocks``.
+        ``parameters`` by name, and the number of ``blocks``.
     """
     normal, gradient = linear.normal()
     at = linear.point
@@ -247,13 +243,6 @@ def determination(
     uncorrelated = (shares**2 * np.mean(residuals**2, axis=(0, 1))).sum(axis=(1, 2, 3))
     error = np.full(len(parameters), np.nan)
     error[free] = np.maximum(jackknife, np.sqrt(uncorrelated))
-    correlation = covariance / np.outer(jackknife, jackknife)
-    trades: list[JsonObject] = []
-    for i, j in combinations(range(free.size), 2):
-        if abs(correlation[i, j]) > TRADING:
-            pair = [parameters[free[i]].name, parameters[free[j]].name]
-            trades.append({"parameters": pair, "correlation": float(correlation[i, j])})
-    trades.sort(key=lambda trade: -abs(trade["correlation"]))
     rows = {}
     for i, parameter in enumerate(parameters):
         reason = None
@@ -264,7 +253,7 @@ def determination(
         elif high[i]:
             reason = "high end"
         rows[parameter.name] = _row(parameter, float(at[i]), float(error[i]), reason)
-    return {"parameters": rows, "trades": trades, "blocks": len(moves)}
+    return {"parameters": rows, "blocks": len(moves)}
 
 
 def _row(parameter: Parameter, at: float, error: float, undetermined: str | None) -> JsonObject:

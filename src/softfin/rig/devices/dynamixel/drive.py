@@ -473,8 +473,8 @@ class Dynamixel:
             self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
             raise DeviceError(
-                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are usable; "
-                "check its cable, termination and baud, and that no second servo has its ID"
+                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are "
+                "usable; check its cable, termination and baud, and that no second servo has its ID"
             )
         median_s = sorted(delays)[len(delays) // 2]
         if median_s > SLOWEST_ANSWER_S:

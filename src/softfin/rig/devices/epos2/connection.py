@@ -249,7 +249,7 @@ def download(entry: Object, value: int) -> bytes:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
         raise DeviceError(
-            f"drive's {entry} cannot be set to {value}, which is outside its range; change the "
+            f"drive's {entry} cannot be set to {value}, which is out of range; change the "
             "value in the rig file"
         ) from None
     # CiA 301: expedited download that indicates the number of unused bytes.
