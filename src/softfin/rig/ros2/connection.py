@@ -56,7 +56,7 @@ local), including earlier messages.
 
 @dataclass
 class Subscriber:
-    """A topic that we read."""
+    """A topic that softfin reads."""
 
     take: Take
     """Function that returns the messages received."""

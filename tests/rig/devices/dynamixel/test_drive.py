@@ -658,7 +658,7 @@ def test_a_request_delayed_by_a_busy_computer_does_not_make_later_answers_late(m
 def test_a_servo_with_unusable_answers_is_refused():
     with bench() as made:
         made.servo.transmit = lambda answer: () if is_status(answer) else (answer,)
-        with pytest.raises(DeviceError, match="only 0 of 20 answers are usable; check its cable"):
+        with pytest.raises(DeviceError, match="only 0 of 20 responses are usable; check its cable"):
             made.drive.open()
 
 

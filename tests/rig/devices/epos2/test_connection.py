@@ -47,7 +47,7 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
             DeviceError, match=r"controlword .* cannot be set to 65536, which .*; change the value"
         ):
             connection.write(protocol.CONTROLWORD, 0x10000)
-        with pytest.raises(DeviceError, match="is invalid"):
+        with pytest.raises(DeviceError, match="invalid response"):
             connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
         made.emulated.go_silent()
         began = made.clock()

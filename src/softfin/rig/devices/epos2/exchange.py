@@ -188,7 +188,7 @@ class Handshake:
         """Number of consecutive times that the drive did not acknowledge a target."""
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
-        """Return the next transmission: a target to send with bit 4, True to clear bit 4, or None."""
+        """Return the next transmission: a target (sets bit 4), True (clears bit 4), or None."""
         late = now - self._since > self._patience
         if self._is_raised:
             if not (acknowledged or late):
