@@ -54,7 +54,7 @@ class Preset(NamedTuple):
     """Whether the reference also steps from one side to the other, and whether the controllers are
     also evaluated with force feedback."""
     num_seeds: int = 1
-    """Number of policies trained per kind, from consecutive seeds; intervals cover these policies."""
+    """Number of policies trained per kind, from consecutive seeds; intervals cover them."""
 
 
 PRESETS: Mapping[ReproducePreset, Preset] = {
