@@ -311,7 +311,7 @@ def gait(figure: Figure) -> None:
 
 
 def force_map(figure: Figure) -> None:
-    """What the fin of the example can make, the nodes of its map, and the cells of its grid."""
+    """The reachable forces of the example fin, the nodes of its map, and the cells of its grid."""
     gaits = load_controller(EXAMPLE / "gaits")
     grid = load_controller(EXAMPLE / "grid")
     corners = gaits.reachable.corners()
@@ -323,7 +323,7 @@ def force_map(figure: Figure) -> None:
         *outline.T,
         color=BLUE,
         linewidth=1.6,
-        label="edge of what the fin can make: the reachable forces",
+        label="edge of the reachable forces",
     )
     scores = gaits.artifact.description["scores"]
     nodes = np.array([score["reference_n"] for score in scores])

@@ -148,7 +148,7 @@ Trained already, small, and of softfin's virtual tank, not of a real fin.
 | folder | |
 | --- | --- |
 | `surrogate` | streaming ensemble of three, fitted to ten minutes of the tank |
-| `gaits` | mean forces that the fin can make in it, and gaits that make them: a controller |
+| `gaits` | reachable mean forces of the fin in the surrogate, and gaits that produce them: a controller |
 | `single` | one policy for all references, trained in the surrogate by LSTM-PPO |
 | `grid` | a policy for each of six cells, trained in the same way |
 | `{RECORDING}` | one minute of random motions with the columns of a laboratory's own program: ms, degrees, N |

@@ -38,7 +38,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     `info` contains the window's ``error_n``, its Sobolev term ``smoothness_n``, the
     ``reference_n`` (each x, y) and the ``force_n`` at every tick of the action.
 
-    `plant` is a Plant or its name: tank, a tank's YAML file, a surrogate's folder or
+    `plant` is a Plant or its name: tank, a tank YAML file, a surrogate folder or
     package.module:plant. The plant is loaded when the environment is created; create a new
     environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin with its
     force, its mean force and the reference after the last action.

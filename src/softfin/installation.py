@@ -56,5 +56,5 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
 
 
 def how_to_add(extra: str) -> str:
-    """Return the command that adds an extra to this installation; softfin itself stays as it is."""
+    """Return the command that adds an extra to this installation without changing softfin."""
     return f'pip install "softfin[{extra}]"'

@@ -36,13 +36,13 @@ SLIPS: list[tuple[list[str], str]] = [
     ),
     (
         ["collect", "--out", "full"],
-        "full: already exists; choose another --out, or use --overwrite",
+        "full: already exists; choose a different --out, or use --overwrite",
     ),
     (["collect", *OUT, "--seed", "-1"], "--seed -1: must be a whole number from 0 to"),
     (["collect", *OUT, "--arm"], "--arm: tank is simulated"),
     (
         ["example", "full"],
-        "full: already exists; choose another folder, or use --overwrite to replace it",
+        "full: already exists; choose a different folder, or use --overwrite to replace it",
     ),
     (["example"], "FOLDER: missing; usage: softfin example "),
     (["fit", *OUT], "DATASET: missing; usage: softfin fit --out DIR "),

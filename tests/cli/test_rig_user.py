@@ -88,7 +88,7 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(
     refused(
         capsys,
         [*run, "--bag", str(tmp_path / "a.mcap")],
-        "a.mcap: already exists; choose another --bag",
+        "a.mcap: already exists; choose a different --bag",
     )
     refused(
         capsys,

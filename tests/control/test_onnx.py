@@ -147,7 +147,7 @@ def test_a_file_that_is_not_the_native_step_is_not_written(
     monkeypatch.setattr(exporting, "MAX_COMMAND_DIFFERENCE", -1.0)
     with pytest.raises(
         RunError,
-        match=r"not written: onnxruntime's commands differ .*limit .*; use another version",
+        match=r"not written: onnxruntime's commands differ .*limit .*; use a different version",
     ):
         export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
     assert not list(tmp_path.iterdir())
@@ -160,7 +160,7 @@ def test_what_is_there_is_kept_unless_it_may_be_replaced(
     controller = load_controller(folders["gaits"])
     file.write_text("mine")
     with pytest.raises(
-        ArtifactError, match="already exists; choose another --onnx, or use --overw"
+        ArtifactError, match="already exists; choose a different --onnx, or use --overw"
     ):
         export_onnx(controller, file)
     with pytest.raises(ArtifactError, match="is not a file"):

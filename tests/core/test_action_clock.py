@@ -37,8 +37,8 @@ def test_a_rate_that_ticks_do_not_allow_is_refused() -> None:
             ActionClock.at(rate_hz)
 
 
-def test_a_window_that_is_no_whole_number_of_cycles_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"window_actions = 4: .*use a multiple of 3"):
+def test_a_window_that_is_not_a_multiple_of_the_cycle_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"window_actions = 4: .*must be a multiple of 3"):
         ActionClock.build({"window_actions": 4})
 
 

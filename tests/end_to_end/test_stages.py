@@ -106,7 +106,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main([*words, "--resume", "--seed", "7"])
     assert stop.value.code == 2
-    assert "belongs to another run (seed was 0 and is 7)" in capsys.readouterr().err
+    assert "belongs to a different run (seed was 0 and is 7)" in capsys.readouterr().err
 
     written = (out / "results.json").stat().st_mtime_ns
     assert run(capsys, *words, "--resume") == results, "a complete run stays as it is"

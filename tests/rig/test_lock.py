@@ -72,8 +72,8 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
         expected = (
-            r"^drive 1: in use by another program on this computer \(process "
-            rf"{other.pid}\); end it first$"
+            r"^drive 1: in use by another program \(process "
+            rf"{other.pid}\); close that program first$"
         )
         with pytest.raises(RigError, match=expected):
             lock.acquire(COMPUTER)

@@ -92,7 +92,7 @@ class Pool:
         self.transport.put("/robot/stop", self.messages.make("std_msgs/msg/Bool", told))
 
     def run(self, seconds=4.0):
-        """Run for so long; what the node raises at the end, and every fin was told to stop."""
+        """Run for so long; what the node raises at the end, with a stop sent to every fin."""
         self.at(seconds, lambda: self.request.ask("emergency_stop", "the end"))
         with pytest.raises(SoftfinError) as raised:
             self.node.run(self.request)
@@ -126,7 +126,7 @@ class Pool:
 
 def test_four_references_make_the_wrench_that_is_asked_for():
     pool = Pool()
-    assert str(pool.run()) == "the end; every fin was told to stop"
+    assert str(pool.run()) == "the end; a stop was sent to every fin"
     together = pool.together()
     # Three actions a second, of which each goes half the way.
     assert len(together) == 12
@@ -198,7 +198,7 @@ def test_wrenches_that_end_stop_every_fin():
     error = pool.run(8.0)
     assert isinstance(error, SafetyStop)
     assert str(error).startswith(
-        "/robot/reference: no wrench for 0.5 s; every fin was told to stop"
+        "/robot/reference: no wrench for 0.5 s; a stop was sent to every fin"
     )
     assert not pool.alive
     assert pool.clock.now < 104
@@ -207,7 +207,7 @@ def test_wrenches_that_end_stop_every_fin():
 def test_a_robot_that_nobody_has_asked_for_a_wrench_yet_waits():
     pool = Pool(reference_timeout_s=0.5)
     pool.wrench = None
-    assert str(pool.run(8.0)) == "the end; every fin was told to stop"
+    assert str(pool.run(8.0)) == "the end; a stop was sent to every fin"
 
 
 def test_without_a_new_wrench_the_fins_may_be_asked_for_nothing():
@@ -249,14 +249,14 @@ def test_a_silent_fin_stops_the_robot():
     error = pool.run()
     assert isinstance(error, SafetyStop)
     assert str(error).startswith("back_left is silent: ")
-    assert str(error).endswith("every fin was told to stop")
+    assert str(error).endswith("a stop was sent to every fin")
     assert 101.5 <= pool.clock.now < 103, "the others obeyed"
 
 
 def test_a_silent_fin_that_may_be_dead_is_and_the_others_go_on():
     pool = Pool(silent_fin="dead")
     pool.at(1.0, lambda: pool.alive.discard("back_left"))
-    # Whoever comes back is told to stop.
+    # A fin that comes back is stopped.
     pool.at(3.0, lambda: pool.alive.add("back_left"))
     assert "the end" in str(pool.run(8.0))
     dead = [line for line in pool.told if "declared dead" in line]
@@ -322,7 +322,7 @@ def test_a_stop_is_passed_on_to_every_fin(waiting):
     pool.at(1.5, pool.stop)
     error = pool.run()
     assert isinstance(error, SafetyStop)
-    assert str(error) == "emergency stop on /robot/stop; every fin was told to stop"
+    assert str(error) == "emergency stop on /robot/stop; a stop was sent to every fin"
     assert not pool.alive
     assert 101.5 <= pool.clock.now < 103
 
@@ -347,7 +347,7 @@ def test_a_later_ctrl_c_does_not_cut_short_the_stop_of_the_fins(monkeypatch):
     pool.at(2.5, lambda: signal.raise_signal(signal.SIGINT))
     with stopped_by_signals(pool.request):
         error = pool.run(seconds=1.0)
-    assert str(error) == "the end; every fin was told to stop"
+    assert str(error) == "the end; a stop was sent to every fin"
     assert "still publishing" in pool.told[-1]
 
 
@@ -355,7 +355,7 @@ def test_fins_that_do_not_stop_are_named():
     pool = Pool()
     pool.obey = False
     pool.run(2.0)
-    assert pool.told[-1].startswith(f"{', '.join(FINS)}: told to stop 3 s ago but still publishing")
+    assert pool.told[-1].startswith(f"{', '.join(FINS)}: still publishing 3 s after the stop")
 
 
 @pytest.mark.parametrize(
@@ -409,5 +409,5 @@ def test_another_process_asks_for_a_wrench_and_plays_the_fins(tmp_path):
     np.testing.assert_allclose(matrix @ np.ravel([told[name] for name in FINS]), WRENCH, atol=0.02)
     np.testing.assert_allclose(told["achieved"], WRENCH, atol=0.02)
     assert told["saturated"] is False
-    assert told["error"] == "emergency stop on /robot/stop; every fin was told to stop"
+    assert told["error"] == "emergency stop on /robot/stop; a stop was sent to every fin"
     assert told["stopped"] == sorted(FINS)

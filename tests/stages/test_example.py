@@ -51,7 +51,7 @@ def test_it_is_written_once_and_replaced_only_on_request(example, capsys):
         main(["example", str(example)])
     assert stop.value.code == 2
     assert (
-        "already exists; choose another folder, or use --overwrite to replace it"
+        "already exists; choose a different folder, or use --overwrite to replace it"
         in capsys.readouterr().err
     )
     (example / "mine").touch()

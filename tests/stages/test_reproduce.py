@@ -58,7 +58,8 @@ def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes
     claim(out, resume=True, overwrite=True)
     assert (out / "dataset").exists()
     with pytest.raises(
-        ArtifactError, match=r"belongs to another run \(seed was 0 and is 1\).*or use --overwrite"
+        ArtifactError,
+        match=r"belongs to a different run \(seed was 0 and is 1\).*or use --overwrite",
     ):
         claim(out, 1, resume=True)
     claim(out, 1, resume=True, overwrite=True)
@@ -145,7 +146,7 @@ def test_a_run_of_another_plant_preset_or_version_is_not_continued(tmp_path, mon
     else:
         preset = reproduce.PRESETS["demo"]._replace(num_seeds=7)
         monkeypatch.setattr(reproduce, "PRESETS", {"demo": preset})
-    with pytest.raises(ArtifactError, match=rf"run: belongs to another run .*{changed} was"):
+    with pytest.raises(ArtifactError, match=rf"run: belongs to a different run .*{changed} was"):
         reproduce._claim(out, plant, "demo", 0, True, False)
 
 

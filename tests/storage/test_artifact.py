@@ -167,7 +167,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
         (tmp_path / ("x" * 300), "name too long"),
     ):
         with pytest.raises(
-            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*choose another --out"
+            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*choose a different --out"
         ):
             artifacts.check_vacant(out)
     assert files_in(tmp_path) == ["file"]
@@ -182,7 +182,7 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
         with pytest.raises(ArtifactError, match="not a softfin folder, so it is not replaced"):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    with pytest.raises(ArtifactError, match="choose another --out, or use --overwrite"):
+    with pytest.raises(ArtifactError, match="choose a different --out, or use --overwrite"):
         artifacts.check_vacant(tmp_path / "s")
     artifacts.check_vacant(tmp_path / "s", overwrite=True)
     artifacts.check_vacant(tmp_path / "new")

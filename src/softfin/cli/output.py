@@ -1,4 +1,4 @@
-"""Prints what commands return: results on standard output, progress on standard error."""
+"""Prints the output of commands: results on standard output, progress on standard error."""
 
 import sys
 import threading
@@ -18,7 +18,7 @@ PACE_S = 10.0
 
 
 def print_result(result: object, as_json: bool) -> None:
-    """Print what a command returned, as JSON or as text; an iterator's items as soon as they are
+    """Print the result of a command, as JSON or as text; an iterator's items as soon as they are
     available."""
     if isinstance(result, Iterator):
         _print_items(result, as_json)

@@ -129,7 +129,7 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     if not worst <= MAX_COMMAND_DIFFERENCE:
         raise RunError(
             f"{file}: not written: onnxruntime's commands differ from softfin's by {worst:.2g} "
-            f"(limit {MAX_COMMAND_DIFFERENCE:g}); use another version of onnxruntime"
+            f"(limit {MAX_COMMAND_DIFFERENCE:g}); use a different version of onnxruntime"
         )
     write_file(file, data)
     return Exported(

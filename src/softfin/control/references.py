@@ -39,7 +39,7 @@ def default_references(
     """Return the six reference forces for the evaluation of a controller with these cells [N].
 
     These are the paper's references if the reach is unknown, if a fin of the paper's size can
-    produce them, or if the controller was trained for them and not for all of the fin's reach.
+    produce them, or if the controller was trained for them and not for all of the fin reach.
     Otherwise their pattern is scaled to the reach, and mirrored if it fits only that way.
     """
     references = _scaled_references(reachable)

@@ -25,7 +25,7 @@ MAX_CYCLE_ACTIONS = 20
 class ActionClock(Configuration):
     """Durations of actions, and the window in which forces are averaged.
 
-    The window is a whole number of cycles, so it has the same length at every action, and a motion
+    The window is a multiple of the cycle, so it has the same length at every action, and a motion
     that repeats with it causes no ripple in the window's mean.
     """
 
@@ -43,8 +43,8 @@ class ActionClock(Configuration):
             )
         if self.window_actions % len(self.ticks):
             raise ValueError(
-                f"window_actions = {self.window_actions}: the window must be a whole number of "
-                f"cycles of {len(self.ticks)} actions; use a multiple of {len(self.ticks)}"
+                f"window_actions = {self.window_actions}: must be a multiple of {len(self.ticks)} "
+                "(one clock cycle)"
             )
         return self
 

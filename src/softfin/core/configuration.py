@@ -97,7 +97,7 @@ def configure(base: Config, given: Settings, **options: object) -> Config:
     """Return the configuration of a stage; options that are not None win over what was given.
 
     `given` is a configuration, which replaces `base`, or changes of `base`: a mapping, or a YAML
-    file. Raises ConfigurationError if it does not fit.
+    file. Raises ConfigurationError if a value is invalid.
     """
     if isinstance(given, Configuration):
         if type(given) is not type(base):

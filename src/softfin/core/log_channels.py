@@ -18,7 +18,7 @@ LOG_COLUMNS = (
     "force_x_n",
     "force_y_n",
 )
-"""Columns that every log file has; a channel must have another name."""
+"""Columns that every log file has; a channel must have a different name."""
 
 LOAD_CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_nm")
 """Load of the fin on its mount, in the order of a wrench: force along z [N] and torque about x, y

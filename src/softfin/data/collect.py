@@ -64,8 +64,8 @@ def collect_logs(
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
     if config.channels and not all(isinstance(each, MeasuringPlant) for each in plants):
         raise PlantError(
-            f"channels: the plant {type(plant).__name__} has no method measure, which returns "
-            "them; use --channels false"
+            f"channels: the plant {type(plant).__name__} has no method measure to record; "
+            "use --channels false"
         )
     keys = []
     for part, count in (("train", config.logs), ("test", config.test_logs)):

@@ -13,7 +13,7 @@ documents what was done."""
 
 @dataclasses.dataclass(frozen=True)
 class Issue:
-    """A problem with a log, or a note on what was done to it."""
+    """A problem with a log, or a note on a change to it."""
 
     severity: Severity
     name: str

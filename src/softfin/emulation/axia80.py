@@ -1,6 +1,6 @@
 """An emulated Axia80, loaded by an emulated fin: implements RDT over UDP and serves its web pages.
 
-The fin's wrench is rotated into the sensor's axes and converted to counts; loads out of range are
+The fin's wrench is rotated into the sensor axes and converted to counts; loads out of range are
 flagged.
 """
 
@@ -92,7 +92,7 @@ class EmulatedAxia80(EmulatedSensor[bytes]):
         super().__init__(fin, rate_hz, clock, frame)
 
     def address(self) -> JsonObject:
-        """Return its address and ports, as in a rig's file."""
+        """Return the address and ports in the format of a rig file."""
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
 
     def reboot(self, seconds: float = 0.5) -> None:

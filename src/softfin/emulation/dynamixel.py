@@ -1,4 +1,4 @@
-"""An emulated Dynamixel that answers Protocol 2.0 byte for byte, on a pseudo-terminal or, in
+"""An emulated Dynamixel that speaks Protocol 2.0 byte for byte, on a pseudo-terminal or, in
 simulated time, on a simulated line. It turns an emulated fin.
 
 Written from the e-Manual. Not verified there: the torque stays on after the bus watchdog has
@@ -83,7 +83,7 @@ class EmulatedServo:
         self._thread = clock.spawn(self._run, "emulated servo")
 
     def address(self) -> JsonObject:
-        """Return the port, as in a rig's file."""
+        """Return the port in the format of a rig file."""
         return {"port": self._line.name}
 
     def remembered(self) -> JsonObject:

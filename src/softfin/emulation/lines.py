@@ -31,7 +31,7 @@ class EmulatedLines(EmulatedStream[bytes]):
         super().__init__(fin, rate_hz, clock)
 
     def address(self) -> JsonObject:
-        """Return the port, as in a rig's file."""
+        """Return the port in the format of a rig file."""
         if self._pty is None:
             return {"address": LOOPBACK, "udp_port": self._udp_port}
         return {"port": self._pty.name, "address": None, "udp_port": None}

@@ -14,7 +14,7 @@ from softfin.rig.computer import Address
 from softfin.rig.devices.axia80.stream import SO_TIMESTAMPNS, STAMP
 
 SIMULATED = "simulated"
-"""Value of `bus.interface` in a rig's file."""
+"""Value of `bus.interface` in a rig file."""
 
 RMEM_MAX_BYTES = 212_992
 """Largest receive buffer that a program may request [bytes]: Linux's default for

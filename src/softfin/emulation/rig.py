@@ -1,4 +1,4 @@
-"""A complete emulated rig on this computer: drive, sensor and the virtual tank, and the rig's file
+"""A complete emulated rig on this computer: drive, sensor and the virtual tank, and the rig file
 for it.
 
 In simulated time, the default, everything runs within one process. In real time, softfin reaches
@@ -98,7 +98,7 @@ class EmulatedRig(contextlib.ExitStack):
         return f"drive: {place}{drive}; sensor: {sensor}"
 
     def values(self, **changes: object) -> JsonObject:
-        """Return the contents of the rig's file, with `changes`."""
+        """Return the contents of the rig file, with `changes`."""
         bus: JsonObject = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
@@ -142,7 +142,7 @@ def kept_rig(config: RigConfig) -> EmulatedRig:
 
 
 def state_file(rig: Path) -> Path:
-    """Return the path of the state file, next to the rig's file."""
+    """Return the path of the state file, next to the rig file."""
     return rig.with_suffix(".state.json")
 
 
@@ -179,7 +179,7 @@ class _KeptRig(EmulatedRig):
             if self._state.exists():
                 state = json.loads(self._state.read_bytes())
                 if state["emulation"] != self._emulation:
-                    raise ValueError("state of another seed or tank")
+                    raise ValueError("state of a different seed or tank")
                 for name, part in self._parts.items():
                     part.recall(state[name])
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -205,7 +205,7 @@ def write_simulated(
     sensor: str = ForceSensorConfig.DEFAULT_TYPE,
 ) -> None:
     """Write the file of a rig that each command emulates in simulated time; `values` are the
-    contents of the tank's file, `drive` and `sensor` the types of its devices."""
+    contents of the tank file, `drive` and `sensor` the types of its devices."""
     rig = _rig_values(
         drive_config(drive, tank, real_time=False),
         {"interface": SIMULATED, "channel": "emulated"},
@@ -216,7 +216,7 @@ def write_simulated(
 
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:
-    """Write a rig's file, with a comment at the top."""
+    """Write a rig file, with a comment at the top."""
     # A new rig must not inherit the record of the one that it replaces.
     record_file(path).unlink(missing_ok=True)
     text = f"# {comment}; for a real rig, see docs/rig.md.\n"

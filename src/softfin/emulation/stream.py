@@ -29,7 +29,7 @@ class EmulatedSensor(ABC, Generic[Record]):
     thread."""
 
     def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock, frame: str) -> None:
-        """`frame` contains the sensor's axes along softfin's."""
+        """`frame` contains the sensor axes along softfin's."""
         self.transmit: Callable[[Record], Iterable[Record]] = lambda record: (record,)
         """Function that maps a record to those that arrive; tests may cut, double, lose, delay or
         change records."""
@@ -53,7 +53,7 @@ class EmulatedSensor(ABC, Generic[Record]):
         """Remove the connection; may be called repeatedly."""
 
     def measure(self) -> Wrench:
-        """Return the present wrench in the sensor's axes [N, N m]."""
+        """Return the present wrench in the sensor axes [N, N m]."""
         return rotated(self._fin.now().wrench, self._rotation)
 
     def silence(self, seconds: float = float("inf")) -> None:
@@ -76,7 +76,7 @@ class EmulatedStream(EmulatedSensor[Record]):
 
     @abstractmethod
     def encode(self, age_s: float, wrench: Wrench) -> Record:
-        """Return a record with a wrench in the sensor's axes [N, N m]; `age_s` is the time from the
+        """Return a record with a wrench in the sensor axes [N, N m]; `age_s` is the time from the
         start of the sensor to the record [s]."""
 
     @abstractmethod

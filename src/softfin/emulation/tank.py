@@ -43,14 +43,14 @@ class TankFin:
             return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
 
     def recall(self, remembered: JsonObject) -> None:
-        """Continue from a saved state; raises ValueError if it is from another tank."""
+        """Continue from a saved state; raises ValueError if it is from a different tank."""
         with self._lock:
             plain = self._plain()
             now, tree = jax.tree.flatten((plain, self._before, self._after))
             held = (*remembered["state"], remembered["before"], remembered["after"])
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
-                raise ValueError("state of another tank")
+                raise ValueError("state of a different tank")
             plain, self._before, self._after = jax.tree.unflatten(tree, then)
             state, self._command = jax.tree.map(jnp.asarray, plain)
             self._state = state._replace(key=jax.random.wrap_key_data(state.key))

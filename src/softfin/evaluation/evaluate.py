@@ -61,8 +61,8 @@ class EvaluateConfig(Configuration):
     references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
         default=()
     )
-    """Reference forces (x, y) [N]; by default the paper's six, or for another fin the same pattern
-    within its reach."""
+    """Reference forces (x, y) [N]; by default the paper's six, or the same pattern within the
+    reach of a different fin."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
     """Duration of each experiment from rest [s], an integer; 30 in the paper. Means begin once
     the first window is full."""

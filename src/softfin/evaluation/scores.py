@@ -1,11 +1,11 @@
 """Compute the scores of Table II and of step responses from a recording.
 
 The force f is the true force if the plant computes it, as the virtual tank does. A controller with
-force feedback must not be scored by the sensor's reading: feedback drives that reading to the
+force feedback must not be scored by the sensor reading: feedback drives that reading to the
 reference, so drift and mounting errors of the sensor would be invisible. A real rig has only the
 reading.
 
-Let m be the moving average of f over the last 200 samples, where all of them are recorded, and r
+Let m be the moving average of f over the last 200 samples, if all of them are recorded, and r
 the reference, averaged over the same samples if it moves (`softfin.core.window`):
 
     error = mean |m - r|

@@ -70,7 +70,7 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
 
 
 def tank_data(tank: Tank) -> JsonObject:
-    """Return the data of a virtual tank, without the sensor's noise, drift and resolution."""
+    """Return the data of a virtual tank, without the sensor noise, drift and resolution."""
     cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
         "kind": "tank",
@@ -136,8 +136,8 @@ def hand_data(limits: Sequence[Limits], clock: ActionClock, size: float | None) 
     """Return the data of the user's hand, which moves fins within all these limits in place of a
     controller.
 
-    `size` is that of the controllers on the page; without one, the page finds the size of the fin
-    from its forces.
+    `size` is the fin size of the controllers on the page; without one, the page finds it from the
+    forces of the fin.
     """
     highest = np.max(limits, axis=0)
     lowest = np.min(limits, axis=0)

@@ -40,7 +40,7 @@ weights were tuned on this fin. For other fins they are multiplied by `Reachable
 
 PAPER_PEAK_N = 13.0
 """Peak of the force of the paper's fin on one axis under random commands, in the virtual tank [N].
-At a rig, where the reach is unknown before the first logs, the peak determines the fin's size."""
+At a rig, where the reach is unknown before the first logs, the peak determines the fin size."""
 
 MIN_REACH_SHARE = 0.25
 """Minimum reach, as a fraction of the largest radius of a region. A fin whose forces lie on a line

@@ -135,7 +135,7 @@ def find_gaits(
 def _simulate(
     plant: Plant, survey: Survey, pre_tanh: PreTanh, config: GaitConfig
 ) -> GaitSensitivity:
-    """Simulate gaits; their forces, and the force gradients, are divided by the fin's size."""
+    """Simulate gaits; their forces, and the force gradients, are divided by the fin size."""
     # The key is not a constant of the module: creating it starts JAX, which an import must not do.
     nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"), survey.clock)
     size = np.float32(survey.reachable.size)
@@ -145,7 +145,7 @@ def _simulate(
 
 
 def _targets(survey: Survey, references: NodeForces) -> NodeForces:
-    """Return the nearest reachable force for each reference [N], divided by the fin's size."""
+    """Return the nearest reachable force for each reference [N], divided by the fin size."""
     reachable = survey.reachable
     return jnp.asarray(reachable.nearest(references) / reachable.size, jnp.float32)
 
@@ -190,7 +190,7 @@ def _between(
     config: GaitConfig,
     told: ReportNodes,
 ) -> tuple[GaitSensitivity, GaitTable]:
-    """Add nodes halfway between those of a table, starting from interpolated gaits."""
+    """Add nodes halfway between the nodes of a table, starting from interpolated gaits."""
     finer = table.halved()
     # Every second node in each direction is a node of the old table.
     new = np.ones(finer.nodes, bool)

@@ -26,7 +26,7 @@ CHECKED_POINTS = 8
 
 
 class TrainConfig(Configuration):
-    """Configuration of a training run; the defaults are those of a single policy."""
+    """Configuration of a training run; the defaults suit a single policy."""
 
     controller: PolicyLayout = "single"
     """Type of controller: one policy for all references (`single`), or one per cell (`grid`)."""
@@ -66,8 +66,8 @@ class TrainConfig(Configuration):
         cycle = len(self.task.clock.ticks)
         if self.ppo.num_steps % cycle:
             raise ValueError(
-                f"ppo.num_steps = {self.ppo.num_steps}: must be a whole number of cycles of the "
-                f"clock; use a multiple of {cycle}"
+                f"ppo.num_steps = {self.ppo.num_steps}: must be a multiple of {cycle} "
+                "(one clock cycle)"
             )
         return self
 
@@ -96,9 +96,9 @@ TRAIN_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
 
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
-    """Adapt a configuration to another clock. Numbers of actions are scaled so that their durations
-    stay the same; the number of updates does not change. A longer window scales the durations by
-    the same factor."""
+    """Adapt a configuration to a different clock. Numbers of actions are scaled to
+    keep their durations; the number of updates does not change. A longer window scales the
+    durations by the same factor."""
     own = config.task.clock
     ratio = clock.rate_hz / own.rate_hz * max(1, clock.window_ticks / own.window_ticks)
     cycle = len(clock.ticks)

@@ -105,7 +105,7 @@ class Policy(eqx.Module):
         return self.with_normalisation(self.normalisation.updated(observation))
 
     def with_normalisation(self, normalisation: Normalisation) -> "Policy":
-        """Return the policy with another normalization."""
+        """Return the policy with a different normalization."""
         return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
     def log_prob(

@@ -1,4 +1,4 @@
-"""Configuration of the CAN bus in a rig's file."""
+"""Configuration of the CAN bus in a rig file."""
 
 from pydantic import Field
 

@@ -30,11 +30,11 @@ class RealFinConfig(Configuration):
 
 
 class EmulationConfig(Configuration):
-    """Emulation of a rig's drive and sensor in simulated time, within each program that uses the
+    """Emulation of a rig drive and sensor in simulated time, within each program that uses the
     rig."""
 
     seed: int = 0
-    """Seed of the sensor's noise."""
+    """Seed of the sensor noise."""
     tank: JsonObject = Field(default_factory=dict)
     """Tank around the fin, as in the file for `softfin rig emulate --tank`; empty for the default
     tank."""
@@ -100,7 +100,7 @@ class Ros2Config(RealFinConfig):
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """Load a rig's file (default: rig.yaml); raises RigError with the key, its value and the
+    """Load a rig file (default: rig.yaml); raises RigError with the key, its value and the
     allowed values."""
     file = path or RIG_FILE
     config = _load(file, RigConfig)

@@ -1,4 +1,4 @@
-"""Interface of a rig's drive, and the configurations and readings of drives and force sensors.
+"""Interface of a rig drive, and the configurations and readings of drives and force sensors.
 
 A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
 `softfin.devices`. It consists of a configuration and a class that implements `Drive`, or
@@ -55,7 +55,7 @@ def failing(
 
 
 class DeviceConfig(Configuration):
-    """Configuration of a device in a rig's file; `type` selects the device."""
+    """Configuration of a device in a rig file; `type` selects the device."""
 
     DEFAULT_TYPE: ClassVar[str]
     """Type of a device without the key `type`."""
@@ -80,7 +80,7 @@ class DriveConfig(DeviceConfig):
 
     DEFAULT_TYPE = "epos2"
     NEEDS_BUS: ClassVar[bool] = False
-    """Whether the rig's file needs a CAN bus for this drive."""
+    """Whether the rig file needs a CAN bus for this drive."""
     ZERO_POWERS_MOTOR: ClassVar[bool] = True
     """Whether `Drive.zero` powers the motor and therefore needs a proof of the drive's own stop."""
 
@@ -100,7 +100,7 @@ class DriveConfig(DeviceConfig):
     """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
     withstand."""
     direction: Literal[1, -1] = 1
-    """-1 if the drive's positive direction is that of negative fin angles."""
+    """-1 if the positive direction of the drive corresponds to negative fin angles."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True

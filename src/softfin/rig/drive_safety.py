@@ -33,8 +33,8 @@ class Setting(NamedTuple, Generic[Entry]):
 def check_settings(
     settings: Iterable[Setting[Entry]], read: Callable[[Entry], int | None], program: str
 ) -> tuple[str, ...]:
-    """Raise RigError if a setting has another value; return one note per entry that the drive does
-    not have. `program` is the one with which the user changes settings."""
+    """Raise RigError if a setting has a different value; return one note per entry that the drive
+    does not have. `program` is the one with which the user changes settings."""
     notes = []
     for setting in settings:
         value = read(setting.entry)

@@ -1,4 +1,4 @@
-"""Anti-alias filter between a sensor's stream and the 100 Hz logs, with linear phase and hence an
+"""Anti-alias filter between a sensor stream and the 100 Hz logs, with linear phase and hence an
 exact delay.
 
 A windowed sinc with a Kaiser window, using Kaiser's formulas for its length and shape (Oppenheim

@@ -1,5 +1,5 @@
-"""The force sensor's zero, which softfin subtracts from all readings: measured at rest, saved in
-the rig's record, and used whenever the rig is opened."""
+"""the force sensor zero, which softfin subtracts from all readings: measured at rest, saved in
+the rig record, and used whenever the rig is opened."""
 
 import datetime
 
@@ -21,7 +21,7 @@ ZERO_N = 0.1
 
 
 def zero_force(sensor: StreamedSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
-    """Set the sensor's zero to the force at rest and save it in the rig's record; raises
+    """Set the sensor zero to the force at rest and save it in the rig record; raises
     DeviceError if that fails.
 
     Mean and noise are measured over `seconds`, before and after.
@@ -64,14 +64,14 @@ def tolerance_scale(config: RigConfig) -> float:
 
     The zero matters for the safety limits, because each log and each run also subtracts its own
     force at rest. So a large fin, whose `safety.force_peak_n` is large, may rest in rougher water.
-    For a small fin the tolerances stay the same, because the sensor's noise does.
+    For a small fin the tolerances stay the same, because the sensor noise does.
     """
     return max(round_size(config.safety.force_peak_n / FORCE_PEAK_N), 1.0)
 
 
 def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | None:
     """Make an open sensor use the recorded zero and return it, or None if there is none; raises
-    RigError if the zero is of another sensor or of other settings."""
+    RigError if the zero is from a different sensor or different settings."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
@@ -85,5 +85,5 @@ def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | N
 
 
 def _settings(sensor: StreamedSensor) -> JsonObject:
-    """Return what the sensor's zero depends on."""
+    """Return the settings that the sensor zero depends on."""
     return drop_address(sensor.config.model_dump(mode="json")) | sensor.identity

@@ -58,8 +58,8 @@ class DeviceLock:
             self._descriptor = lock_file(path)
         except BlockingIOError:
             raise RigError(
-                f"{self._device}: in use by another program on this computer"
-                f"{describe_holder(path)}; end it first"
+                f"{self._device}: in use by another program{describe_holder(path)}; "
+                "close that program first"
             ) from None
         except (OSError, ImportError) as error:
             # Without locks the fin can still be used, but the user has to avoid conflicts.

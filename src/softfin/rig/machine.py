@@ -115,7 +115,7 @@ def machine_clock(machine: object) -> Clock:
 
 
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from the sensor's axes to softfin's; `frame` contains the sensor axes
+    """Return the rotation from the sensor axes to softfin's; `frame` contains the sensor axes
     along +x and +y, e.g. ``y,-x``.
 
     The result is a rotation for every frame: if x and y are mirrored, e.g. in ``y,x``, the sensor

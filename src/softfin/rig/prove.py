@@ -1,5 +1,5 @@
 """Proof that the drive stops by itself if softfin dies, tested with the motor powered and saved in
-the rig's record.
+the rig record.
 
 Nothing else stops a fin if its program is killed or hangs. Whether a drive does this depends on its
 settings and firmware, so a rig with a file must not move its fin before this proof.
@@ -20,7 +20,7 @@ from softfin.rig.record import StopProof, date_and_time, load_record, save_recor
 
 def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
     """Withhold heartbeats from the open drive, with its motor powered at standstill, and save the
-    proof in the rig's record.
+    proof in the rig record.
 
     Raises PausedError if the test is not valid, and DeviceError if the drive does not stop by
     itself; an earlier proof is then removed.
@@ -84,5 +84,5 @@ def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
 
 
 def proving_command(file: Path, options: str = "--prove") -> str:
-    """Return the command for testing whether a rig's drive stops by itself."""
+    """Return the command for testing whether a rig drive stops by itself."""
     return f"softfin rig check --rig {shlex.quote(str(file))} {options} --arm"

@@ -294,7 +294,7 @@ def _look(
 
 
 def main() -> None:
-    """Swing the fin of a rig's file until this process is killed or its input ends."""
+    """Swing the fin of a rig file until this process is killed or its input ends."""
     config = load_rig(Path(sys.argv[1]))
     request = StopRequest()
 

@@ -1,7 +1,7 @@
 """The record of a rig, stored as JSON next to its file: rig.record.json for rig.yaml.
 
 The file describes the setup of a rig. The record contains what was measured on it: whether the
-drive stops by itself if softfin dies, and when the sensor's zero was set. A rig built in Python
+drive stops by itself if softfin dies, and when the sensor zero was set. A rig built in Python
 without a file has no record.
 """
 
@@ -60,7 +60,7 @@ class ForceZero(Configuration):
     date: str
     """Date and time, as ISO 8601."""
     wrench: tuple[float, float, float, float, float, float]
-    """Wrench that softfin subtracts, in the sensor's axes [N, N m]."""
+    """Wrench that softfin subtracts, in the sensor axes [N, N m]."""
     sensor: dict[str, JsonValue]
     """Configuration of the sensor without its address, and its `identity`."""
 
@@ -80,12 +80,12 @@ def date_and_time() -> str:
 
 
 def record_file(rig: Path) -> Path:
-    """Return the path of a rig's record, next to the rig's file."""
+    """Return the path of a rig record, next to the rig file."""
     return rig.with_suffix(".record.json")
 
 
 def load_record(rig: Path | None) -> RigRecord:
-    """Load the record for a rig's file, or an empty one if there is none; raises RigError if it is
+    """Load the record for a rig file, or an empty one if there is none; raises RigError if it is
     invalid."""
     if rig is None or not record_file(rig).exists():
         return RigRecord()
@@ -100,7 +100,7 @@ def load_record(rig: Path | None) -> RigRecord:
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
-    """Save the record for a rig's file, unless the rig has no file; raises RunError if it cannot be
+    """Save the record for a rig file, unless the rig has no file; raises RunError if it cannot be
     written."""
     if rig is not None:
         artifacts.write_file(record_file(rig), record.model_dump_json(indent=2) + "\n")

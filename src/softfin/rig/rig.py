@@ -51,7 +51,7 @@ class Rig:
     def open(self) -> None:
         """Connect to both devices and configure the drive; the motor stays off.
 
-        Raises RigError if the force zero is of another sensor or of other settings.
+        Raises RigError if the force zero is from a different sensor or different settings.
         """
         # The drive comes first: if another program is using the rig, this call fails before it
         # takes over that program's sensor stream.

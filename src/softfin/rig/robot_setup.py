@@ -30,11 +30,11 @@ class RobotSetup:
             check()
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
-        """Raise RigError if a controller is for another fin or exceeds this machine's limits."""
+        """Raise RigError if a controller is for a different fin or exceeds the machine limits."""
         if None not in (fin, self.fin) and fin != self.fin:
             raise RigError(
                 f"{controller}: trained for fin {fin!r}, but this rig has fin {self.fin!r}; train "
-                "a controller for this fin, or correct 'fin' in the rig's file"
+                "a controller for this fin, or correct 'fin' in the rig file"
             )
         for quantity, unit in (("angle", "rad"), ("velocity", "rad/s")):
             (low, high), (lowest, highest) = (

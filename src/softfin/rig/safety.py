@@ -167,12 +167,12 @@ class Guard:
                 "programs on this computer",
             )
         for what, age, most, way_out in (
-            ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
+            ("angle", now - sample.time, config.stale_s, "check the drive cable and supply"),
             (
                 "force",
                 now - sample.force_time,
                 config.force_stale_s,
-                "check the sensor's cable and network",
+                "check the sensor cable and network",
             ),
         ):
             # A time in the future is just as bad, because it would never become stale.

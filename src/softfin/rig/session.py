@@ -303,7 +303,7 @@ class Session:
         """Move slowly to the rest angle and wait for `seconds` until the water is calm.
 
         Return the mean force (x, y) over the second half of the wait [N]. The true force is zero
-        then, so this is the sensor's offset for the next experiment. Drift changes the offset, so
+        then, so this is the sensor offset for the next experiment. Drift changes the offset, so
         it is measured before each experiment.
         """
         slowest = self.machine.limits.velocity_min

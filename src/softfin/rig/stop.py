@@ -177,7 +177,7 @@ thread, which does not wake the main thread, where Python handles signals."""
 class Watchdog:
     """A thread that stops the machine if the loop falls silent, e.g. because a controller hangs.
 
-    C code that holds the GIL blocks this thread as well. In that case, a rig's drive stops the
+    C code that holds the GIL blocks this thread as well. In that case, a rig drive stops the
     motor by itself: it faults (0x8130) after `drive.heartbeat_s` without a host heartbeat. ROS 2
     topics have no such protection: the fin's driver has to detect missing commands.
     """

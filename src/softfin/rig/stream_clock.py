@@ -1,4 +1,4 @@
-"""Times of the records in a sensor's stream, from noisy timestamps or another clock."""
+"""Times of the records in a sensor stream, from noisy timestamps or another clock."""
 
 from collections import deque
 

@@ -93,7 +93,7 @@ class TimedWrench(NamedTuple):
     """A usable record."""
 
     wrench: Float[np.ndarray, " 6"]
-    """Force and torque in the sensor's axes [N, N m]."""
+    """Force and torque in the sensor axes [N, N m]."""
     missing: int
     """Number of records that were lost or unusable since the previous one."""
     time: float
@@ -205,7 +205,7 @@ class StreamedSensor:
 
     @property
     def zero_wrench(self) -> Wrench:
-        """The wrench that is subtracted from every record, in the sensor's axes [N, N m]."""
+        """The wrench that is subtracted from every record, in the sensor axes [N, N m]."""
         fx, fy, fz, tx, ty, tz = self._offset.tolist()
         return fx, fy, fz, tx, ty, tz
 
@@ -271,7 +271,7 @@ class StreamedSensor:
             self._peak = np.zeros(6)
 
     def restore_zero(self, wrench: Wrench) -> None:
-        """Subtract a recorded zero, in the sensor's axes [N, N m]."""
+        """Subtract a recorded zero, in the sensor axes [N, N m]."""
         self._offset = np.array(wrench)
         self._peak = np.zeros(6)
 
@@ -350,7 +350,7 @@ class StreamedSensor:
         self._force = (latest, rotated(output - self._offset, self._rotation))
 
     def _mean(self, seconds: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
-        """Return mean and standard deviation of the next records, in the sensor's axes."""
+        """Return mean and standard deviation of the next records, in the sensor axes."""
         self.keep_up()
         collected = self._collected = []
         try:

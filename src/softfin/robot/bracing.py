@@ -20,7 +20,7 @@ SIZES = (0.5, 1.0, 1.5)
 `brace_n`."""
 
 EFFORT = 0.02
-"""Cost of a squared force relative to that of a squared shortfall below `brace_n`."""
+"""Cost of a squared force relative to the cost of a squared shortfall below `brace_n`."""
 
 BRACE_CHANGE_N2 = 1.0
 """Cost of changing the bracing, which swings fins around, relative to that of a squared force error

@@ -1,7 +1,7 @@
 """Evaluation of a robot's node in simulation: a target wrench in, the wrench of simulated fins out.
 
-The chain is that of `softfin robot ros2`: `FinReferences` distributes the wrench, and each fin's
-controller tracks its reference at the controller's own clock, as in a separate `softfin ros2`
+The chain is the same as in `softfin robot ros2`: `FinReferences` distributes the wrench, and the
+controller of each fin tracks its reference at its own clock, as in a separate `softfin ros2`
 process. The body does not move, and each fin beats in a tank.
 """
 

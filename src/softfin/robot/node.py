@@ -36,7 +36,7 @@ STOPPING_S = 3.0
 powers off within one or two seconds."""
 
 QUIET_S = 0.5
-"""Time without messages after which a fin that was told to stop counts as stopped [s]."""
+"""Time without messages after which a fin that received a stop counts as stopped [s]."""
 
 WRENCH_LIMIT = 1e6
 """Magnitude above which a wrench is rejected as invalid [N, N m]."""
@@ -166,7 +166,8 @@ class RobotNode:
                 f"{self.config.reference_timeout_s:g} s"
             )
             raise SafetyStop(
-                f"{reason}; every fin was told to stop; start the publisher, then restart the nodes"
+                f"{reason}; a stop was sent to every fin; start the publisher, then restart the "
+                "nodes"
             )
         now = self._clock()
         timeout = self.config.fin_timeout_s
@@ -174,7 +175,7 @@ class RobotNode:
             if number not in self._references.dead and fin.is_silent(now, timeout):
                 reason = f"{fin.name} is silent: nothing on {fin.joint_topic} for {timeout:g} s"
                 if self.robot.silent_fin == "stop":
-                    raise SafetyStop(f"{reason}; every fin was told to stop")
+                    raise SafetyStop(f"{reason}; a stop was sent to every fin")
                 self._declare_dead(number, reason)
 
     def _await_fins(self, pace: Pace, request: StopRequest) -> None:
@@ -193,7 +194,7 @@ class RobotNode:
             told = ", ".join(itertools.chain.from_iterable(missing.values()))
             raise DeviceError(
                 f"after {self.config.wait_s:g} s {told}; start `softfin ros2` for each fin with "
-                "these topics, in the same domain and network; every fin was told to stop"
+                "these topics, in the same domain and network; a stop was sent to every fin"
             )
         for number, found in missing.items():
             self._declare_dead(number, f"{self.fins[number].name} is missing: {', '.join(found)}")
@@ -212,7 +213,7 @@ class RobotNode:
         if reason is not None:
             request.ask("emergency_stop", reason)
         if request.trip is not None:
-            raise SafetyStop(f"{request.trip.reason}; every fin was told to stop")
+            raise SafetyStop(f"{request.trip.reason}; a stop was sent to every fin")
 
     def _declare_dead(self, number: int, reason: str) -> None:
         self._references.declare_dead(number)
@@ -243,7 +244,7 @@ class RobotNode:
                 return
             if now > deadline:
                 self._once.report(
-                    f"{', '.join(going)}: told to stop {STOPPING_S:g} s ago but still publishing; "
+                    f"{', '.join(going)}: still publishing {STOPPING_S:g} s after the stop; "
                     "switch off their motors' supply"
                 )
                 return

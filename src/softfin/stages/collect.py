@@ -40,7 +40,7 @@ def collect(
     differ only in their seed.
 
     Args:
-        plant: tank, a YAML file, a surrogate's folder, package.module:plant, rig[:FILE] or
+        plant: tank, a YAML file, a surrogate folder, package.module:plant, rig[:FILE] or
             ros2[:FILE].
         out: Dataset folder to write.
         logs: Number of training logs (default: 100, as in the paper).

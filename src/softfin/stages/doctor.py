@@ -76,8 +76,8 @@ def _jax() -> CheckResult:
 
         devices = jax.devices()
     except Exception as error:
-        # JAX and its plug-ins raise many kinds of exceptions, e.g. for a plug-in of another version
-        # or a driver without a device.
+        # JAX and its plug-ins raise many kinds of exceptions, e.g. for a plug-in of a different
+        # version or a driver without a device.
         return CheckResult(
             "JAX",
             "wrong",

@@ -47,7 +47,7 @@ from softfin.storage.paths import check_reference_file
 
 
 class Drive(NamedTuple):
-    """A controller that drives a real fin, and how long and where to it is recorded."""
+    """A controller that drives a real fin, with the duration and the file of the recording."""
 
     controller: LoadedController
     robot: RobotSetup

@@ -54,7 +54,7 @@ def evaluate(
 
     Args:
         controllers: Controller folder; several of different seeds are evaluated together.
-        plant: tank, a YAML file, a surrogate's folder, package.module:plant, rig[:FILE] or
+        plant: tank, a YAML file, a surrogate folder, package.module:plant, rig[:FILE] or
             ros2[:FILE].
         out: Output folder for evaluation.json and the figures (default: only print the scores).
         reference: Reference force [N], such as --reference=1,-0.5; may be repeated (default: the
@@ -159,7 +159,7 @@ def _evaluate_simulated(
             raise ConfigurationError(
                 f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
-        # At 0, use the tank itself: RandomizedTank would also change the sensor's noise.
+        # At 0, use the tank itself: RandomizedTank would also change the sensor noise.
         target = target if widths.is_none else RandomizedTank(target, widths)
     metadata = {
         "plant": str(plant),

@@ -31,7 +31,7 @@ def explore(
     Args:
         controllers: Controller folders (default: none, to move the fin by hand only).
         out: File to write (.html).
-        plant: tank, a tank's YAML file, or a streaming surrogate's folder; may be repeated.
+        plant: tank, a tank YAML file, or a streaming surrogate folder; may be repeated.
         overwrite: Replace an existing file.
 
     Returns:

@@ -94,7 +94,7 @@ def collect_live(
         "fin": robot.fin,
         "rig": robot.configuration,
     }
-    # A collection may continue with the sensor at another address, but not with other settings.
+    # A collection may continue with the sensor at a different address, but not with other settings.
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
     names = _log_names(config)
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
@@ -391,19 +391,19 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
     if not state.exists():
         if bags.exists() and any(bags.iterdir()):
             raise ArtifactError(
-                f"{bags}: already exists and is not a collection; choose another --out"
+                f"{bags}: already exists and is not a collection; choose a different --out"
             )
     elif any(bags.glob("*.parquet")):
         if not resume:
             raise ArtifactError(
-                f"{bags}: contains finished logs; continue with --resume, choose another --out, or "
-                "move the folder away"
+                f"{bags}: contains finished logs; continue with --resume, choose a different "
+                "--out, or move the folder away"
             )
         # Through JSON and back, so that tuples and numbers compare equal to those in the file.
         before = artifacts.read_json(state)
         sensor_states: JsonObject = before.pop("sensor_by_log", {})
         now = json.loads(artifacts.dump_json(claim))
-        check_same(bags, before, now, "use the same options and rig, or choose another --out")
+        check_same(bags, before, now, "use the same options and rig, or choose a different --out")
         return sensor_states
     return {}
 

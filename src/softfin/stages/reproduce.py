@@ -55,7 +55,7 @@ class Preset(NamedTuple):
     """Whether the reference also steps from one side to the other, and whether the controllers are
     also evaluated with force feedback."""
     num_seeds: int = 1
-    """Number of policies trained per kind, from consecutive seeds; intervals are over them."""
+    """Number of policies trained per kind, from consecutive seeds; intervals cover them."""
 
 
 PRESETS: Mapping[ReproducePreset, Preset] = {
@@ -173,7 +173,7 @@ def reproduce(
     Args:
         out: Output folder.
         preset: paper (hours), demo (minutes), or tiny, which only shows that everything works.
-        plant: The fin: tank, package.module:plant, or a surrogate's folder, which skips collect and
+        plant: The fin: tank, package.module:plant, or a surrogate folder, which skips collect and
             fit.
         seed: First seed.
         resume: Continue a stopped run.
@@ -247,7 +247,8 @@ def _clear(out: Path, plant: str) -> None:
     folder = out.resolve()
     if Path(plant).exists() and Path(plant).resolve().is_relative_to(folder):
         raise ArtifactError(
-            f"{out}: contains the plant {plant}, which would be replaced too; choose another --out"
+            f"{out}: contains the plant {plant}, which would be replaced too; choose a different "
+            "--out"
         )
     try:
         if (folder / RESULTS).is_file():
@@ -257,8 +258,8 @@ def _clear(out: Path, plant: str) -> None:
             shutil.rmtree(folder)
     except OSError as error:
         raise RunError(
-            f"{out}: cannot be replaced ({error.strerror or error}); remove it, or choose another "
-            "--out"
+            f"{out}: cannot be replaced ({error.strerror or error}); remove it, or choose a "
+            "different --out"
         ) from None
 
 
@@ -379,7 +380,7 @@ def _write_page(
     from softfin.explorer.contents import is_shown
     from softfin.storage.registry import find_plant
 
-    # The plant of this run may itself be the surrogate's folder, perhaps spelled differently.
+    # The plant of this run may itself be the surrogate folder, perhaps spelled differently.
     places = {Path(name).resolve(): name for name in plants}
     shown = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
     if shown:

@@ -185,7 +185,7 @@ def emulate(
     rig = Path(rig)
     if rig.exists() and not overwrite:
         raise ConfigurationError(
-            f"{rig}: already exists; set another --rig, or use --overwrite to replace it"
+            f"{rig}: already exists; set a different --rig, or use --overwrite to replace it"
         )
     from softfin.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
     from softfin.tank import Tank, TankConfig

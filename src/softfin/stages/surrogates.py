@@ -72,7 +72,7 @@ def fit(
         Table I, issue counts, stroke time, a caveat, and a warning if noise hides the force.
 
     Raises:
-        LogError: The logs have errors, which are not ignored, now or when they were imported.
+        LogError: The logs have errors that were not ignored, neither now nor at import.
 
     Example:
         >>> softfin.fit("dataset", out="surrogate", config={"members": 3})

@@ -92,13 +92,13 @@ def format_paper_tables() -> str:
 
 def describe_errors(summary: EvaluationSummary) -> str:
     """Return one line on which force the errors refer to, with the error of the readings if it
-    differs, and the errors as a percentage of the fin's reach."""
+    differs, and the errors as a percentage of the fin reach."""
     mean = summary["mean"]
     reach_n = summary["conditions"].get("reach_n")
     share = ""
     if reach_n:
         x, y = (100 * mean[axis]["error_n"] / reach_n for axis in AXES)
-        share = f"; {x:.2g}%, {y:.2g}% of the fin's reach of {reach_n:.2g} N"
+        share = f"; {x:.2g}%, {y:.2g}% of the fin reach of {reach_n:.2g} N"
     if summary["conditions"].get("judged_by") != "true force":
         return (
             "errors are relative to the measured force; errors in the sensor itself do not show up"

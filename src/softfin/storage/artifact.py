@@ -35,31 +35,33 @@ def check_vacant(
     if Path.cwd().is_relative_to(path.resolve()):
         # The output replaces the folder, and relative paths would no longer refer to anything.
         raise ArtifactError(
-            f"{path}: is or contains the current folder, which cannot be replaced; choose another "
-            f"{option}"
+            f"{path}: is or contains the current folder, which cannot be replaced; choose a "
+            f"different {option}"
         )
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not overwrite:
         raise ArtifactError(
-            f"{path}: already exists; choose another {option}, or use --overwrite to replace it"
+            f"{path}: already exists; choose a different {option}, or use --overwrite to replace it"
         )
     kinds = tuple(FOLDERS) if kind is None else (kind,)
     if not any(_is_own(path, each) for each in kinds):
         raise ArtifactError(
             f"{path}: already exists and is not a softfin {kind or 'folder'}, so it is not "
-            f"replaced; choose another {option}"
+            f"replaced; choose a different {option}"
         )
 
 
 def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
     """Raise ArtifactError unless a file can be written to `path`, the value of `option`."""
     if path.exists() and not path.is_file():
-        raise ArtifactError(f"{path}: already exists and is not a file; choose another {option}")
+        raise ArtifactError(
+            f"{path}: already exists and is not a file; choose a different {option}"
+        )
     if path.exists() and not overwrite:
         raise ArtifactError(
-            f"{path}: already exists; choose another {option}, or use --overwrite to replace it"
+            f"{path}: already exists; choose a different {option}, or use --overwrite to replace it"
         )
     check_writable(path, option)
 
@@ -75,7 +77,7 @@ def check_writable(path: Path, option: str = "--out") -> None:
         Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
     except OSError as error:
         raise ArtifactError(
-            f"{path}: cannot be written ({parent}: {error.strerror}); choose another {option}"
+            f"{path}: cannot be written ({parent}: {error.strerror}); choose a different {option}"
         ) from None
 
 
@@ -142,7 +144,7 @@ def sync(place: Path) -> None:
 def write_file(
     path: Path,
     data: bytes | str | Callable[[BinaryIO], None],
-    fix: str = "free disk space, or choose another path",
+    fix: str = "free disk space, or choose a different path",
 ) -> None:
     """Write a file next to its destination and rename it once it is on disk; `data` may be a
     function that writes in pieces. If it fails, the error message ends with `fix`."""

@@ -1,4 +1,4 @@
-"""Finds plants by name: ``tank``, a tank's YAML file, a surrogate's folder or
+"""Finds plants by name: ``tank``, a tank YAML file, a surrogate folder or
 ``package.module:plant``.
 
 Fins that move in real time are ``rig`` and ``ros2``, optionally with ``:FILE``;
@@ -30,7 +30,7 @@ LIVE = ("rig", "ros2")
 """Names of fins that move in real time."""
 
 HELP = (
-    "tank, a tank's YAML file, a surrogate's folder (./NAME if it has the name of a plant), or "
+    "tank, a tank YAML file, a surrogate folder (./NAME if it has the name of a plant), or "
     "package.module:plant (your own simulator)"
 )
 
@@ -41,7 +41,7 @@ def is_live(name: str) -> bool:
 
 
 def is_surrogate(name: str) -> bool:
-    """Whether `name` refers to a surrogate's folder."""
+    """Whether `name` refers to a surrogate folder."""
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 

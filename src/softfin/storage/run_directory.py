@@ -45,7 +45,7 @@ class RunDirectory:
         `overwrite`. The fingerprint of configuration, data and seed identifies a run.
 
         Raises ArtifactError if there is unfinished work and neither flag is set, and with `resume`
-        if the unfinished or finished work belongs to another run.
+        if the unfinished or finished work belongs to a different run.
         """
         # Next to the lock of the output, whatever the name by which it is reached.
         self.folder = out.resolve().with_name(f".{out.resolve().name}.unfinished")
@@ -88,7 +88,7 @@ class RunDirectory:
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
         """Return the last checkpoint, with the structure of `like`; None if there is none yet.
-        Raises ArtifactError for a checkpoint of another structure."""
+        Raises ArtifactError for a checkpoint of a different structure."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
@@ -191,13 +191,13 @@ def check_same(
     path: Path,
     before: object,
     now: object,
-    remedy: str = "use the same options, choose another --out, or use --overwrite",
+    remedy: str = "use the same options, choose a different --out, or use --overwrite",
 ) -> None:
     """Raise ArtifactError unless the run at a path is the current one; nested mappings describe
     both."""
     if before != now:
         changes = describe_changes(name_leaves(before), name_leaves(now))
-        raise ArtifactError(f"{path}: belongs to another run ({changes}); {remedy}")
+        raise ArtifactError(f"{path}: belongs to a different run ({changes}); {remedy}")
 
 
 def name_path(path: tuple[Hashable, ...]) -> str:

@@ -115,7 +115,7 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
     """Build networks from their shapes and the arrays of `name_net_arrays`.
 
     Raises:
-        ArtifactError: an array is missing, has another shape, or is not finite.
+        ArtifactError: an array is missing, has a different shape, or is not finite.
     """
 
     def leaf(path: tuple[object, ...], like: jax.ShapeDtypeStruct) -> Array:

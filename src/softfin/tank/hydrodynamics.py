@@ -148,8 +148,8 @@ class Water(eqx.Module):
     def varied(
         self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0
     ) -> "Water":
-        """Return water of another temperature [degrees Celsius], with its loads multiplied by the
-        factors `added_mass` (also used for the tip term) and `drag`."""
+        """Return water of a different temperature [degrees Celsius], with its loads multiplied by
+        the factors `added_mass` (also used for the tip term) and `drag`."""
         # All loads are proportional to the density, and friction also to sqrt(viscosity).
         density = _density(temperature) / _density(self.temperature)
         friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))

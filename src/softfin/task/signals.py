@@ -37,7 +37,7 @@ REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newtons", "force_y_n": "
 """Columns of a reference file, with their units."""
 
 MAX_SIGNAL_S = 3600.0
-"""Maximum duration of a reference [s]; a longer one is probably in another unit."""
+"""Maximum duration of a reference [s]; a longer one is probably in a different unit."""
 
 MAX_REFERENCE_ROWS = 360_000
 """Maximum number of rows: an hour at 100 Hz, the rate of readings."""

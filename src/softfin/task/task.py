@@ -81,7 +81,7 @@ class TaskConfig(Configuration):
     clock: ActionClock = PAPER_CLOCK
     """Durations of the actions, and the window of the mean force and the Sobolev term."""
     episode_actions: PositiveInt = 90
-    """Number of actions until the episode is truncated, a whole number of cycles of the clock; 90
+    """Number of actions until the episode is truncated, a multiple of the clock cycle; 90
     correspond to the paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Number of actions until a new reference is drawn."""
@@ -94,8 +94,8 @@ class TaskConfig(Configuration):
         cycle = len(self.clock.ticks)
         if self.episode_actions % cycle:
             raise ValueError(
-                f"episode_actions = {self.episode_actions}: must be a whole number of cycles of "
-                f"the clock; use a multiple of {cycle}"
+                f"episode_actions = {self.episode_actions}: must be a multiple of {cycle} "
+                "(one clock cycle)"
             )
         if self.episode_actions < self.clock.window_actions:
             raise ValueError(
@@ -110,8 +110,8 @@ class TaskConfig(Configuration):
         return PolicyObservation(past_actions=self.past_actions).size
 
     def scaled(self, size: float) -> "TaskConfig":
-        """Return the task for a fin of another size, relative to the paper's fin: observations and
-        rewards keep their magnitudes."""
+        """Return the task for a fin of a different size, relative to the paper's fin: observations
+        and rewards keep their magnitudes."""
         x, y = self.reward.weight
         values = {
             "force_scale_n": self.force_scale_n * size,

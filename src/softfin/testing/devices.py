@@ -92,7 +92,7 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
 
 
 def _check_closed(device: Drive | StreamedSensor) -> None:
-    """Close twice; a closed device still answers what the monitor and the messages need."""
+    """Close twice; a closed device must still provide what the monitor and messages read."""
     device.close()
     device.close()
     device.complaints()

@@ -365,8 +365,8 @@ def test_only_one_program_commands_a_fin_but_it_may_command_several_fins():
     first.open()
     with pytest.raises(
         RigError,
-        match=rf"fin behind {topic}: in use by another program on this computer \(process "
-        rf"{os.getpid()}\); end it first",
+        match=rf"fin behind {topic}: in use by another program \(process "
+        rf"{os.getpid()}\); close that program first",
     ):
         made().open()
     others = [made(command_topic=f"{topic}_2"), made(connection={"domain": 77})]

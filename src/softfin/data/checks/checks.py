@@ -288,7 +288,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     elif correlation < 0.5:
         severity = "warning"
         name = "velocity"
-        fix = "map another column, or use --columns velocity=- to derive it from the angle"
+        fix = "map a different column, or use --columns velocity=- to derive it from the angle"
     elif not 0.95 < ratio < 1.05:
         severity = "warning" if 0.5 < ratio < 2 else "error"
         name = "velocity unit"

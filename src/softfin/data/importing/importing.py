@@ -28,7 +28,7 @@ SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 Topic = Literal["command", "joint", "wrench", "current"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
-"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor's axes."""
+"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor axes."""
 
 
 class ImportConfig(Configuration):
@@ -128,7 +128,7 @@ def format_options(config: ImportConfig) -> str:
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:
-    """Return the +x and +y components of a force in another frame."""
+    """Return the +x and +y components of a force in a different frame."""
     source = {"x": x, "y": y, "-x": -x, "-y": -y}
     return [source[term] for term in frame.split(",")]
 

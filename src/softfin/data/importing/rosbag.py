@@ -181,7 +181,7 @@ def _read_channel(
     if not decoded:
         raise LogError(
             f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
-            "set another one with --topics"
+            "set a different one with --topics"
         )
     channels = {channel: np.array([float(content.data) for _, content in decoded])}
     if channel == CURRENT_CHANNEL:

@@ -112,7 +112,7 @@ class EmulatedDrive:
         self._node.add_write_callback(self._written)
         self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
         self.at_limit = False
-        """Whether an internal limit is active, e.g. that of the current (bit 11 of the
+        """Whether an internal limit is active, e.g. the current limit (bit 11 of the
         statusword)."""
         self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {

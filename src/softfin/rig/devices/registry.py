@@ -10,7 +10,7 @@ from softfin.rig.device_type import DriveType, ForceSensorType
 from softfin.storage.plugins import list_plugins
 
 GROUP = "softfin.devices"
-"""Entry point group; the name of an entry point is the `type` in a rig's file, and its object is a
+"""Entry point group; the name of an entry point is the `type` in a rig file, and its object is a
 `DriveType` or a `ForceSensorType`."""
 
 DEVICES = {
@@ -27,7 +27,7 @@ Kind = TypeVar("Kind", DriveType[Any], ForceSensorType[Any])
 def choose_config(
     kind: type[Kind], default: str, values: Mapping[str, object]
 ) -> type[Configuration]:
-    """Return the class of a device's configuration in a rig's file, in which the type may be left
+    """Return the class of a device's configuration in a rig file, in which the type may be left
     out; raises ValueError."""
     try:
         found: DriveType[Any] | ForceSensorType[Any] = find_device(
@@ -58,5 +58,5 @@ def find_device(kind: type[Kind], name: str) -> Kind:
             "package of the device"
         ) from None
     if not isinstance(device, kind):
-        raise RigError(f"type {name!r}: {found.value} is not a {what}; use another type")
+        raise RigError(f"type {name!r}: {found.value} is not a {what}; use a different type")
     return device

@@ -129,7 +129,7 @@ class Follower:
         """Time of the latest new messages [s]."""
 
     def poll(self) -> None:
-        """Read what has been written since the last call."""
+        """Read the data written since the last call."""
         try:
             self._choose()
             if not (self._ended or self._broken or self._bag.is_dir()):

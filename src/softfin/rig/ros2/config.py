@@ -192,6 +192,6 @@ class Ros2PlantConfig(Configuration):
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:
                 raise RigError(
-                    f"{name} = {topic}: already a topic of the fin; use another one: --set "
+                    f"{name} = {topic}: already a topic of the fin; use a different one: --set "
                     f"{name}=/NAME"
                 )

@@ -56,7 +56,7 @@ local), including earlier messages.
 
 @dataclass
 class Subscriber:
-    """A topic that we read."""
+    """A topic that softfin reads."""
 
     take: Take
     """Function that returns the messages received."""
@@ -184,7 +184,7 @@ class Subscription(Generic[Value]):
         return self._subscriber.mismatched()
 
     def explain_publishers(self) -> str | None:
-        """Explain why the topic's publishers cannot be used, ending with the fix; None if there is
+        """Explain why the topic publishers cannot be used, ending with the fix; None if there is
         exactly one."""
         publishers = sorted(self._subscriber.publishers())
         if not publishers:
@@ -255,7 +255,7 @@ def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
 
 
 def check_frame(message: Any, frame: str) -> None:
-    """Raise ValueError if a message is in another frame; an empty frame means ours."""
+    """Raise ValueError if a message is in a different frame; an empty frame means ours."""
     theirs = message.header.frame_id
     if theirs not in ("", frame):
         raise ValueError(f"its frame is {theirs!r}, expected {frame!r}")

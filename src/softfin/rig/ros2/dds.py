@@ -36,7 +36,9 @@ try:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 except ImportError:
-    raise RigError(f"ROS 2's topics without ROS 2 need cyclonedds: {how_to_add('ros2')}") from None
+    raise RigError(
+        f"topics without a ROS 2 installation need cyclonedds: {how_to_add('ros2')}"
+    ) from None
 
 URI = "CYCLONEDDS_URI"
 

@@ -344,7 +344,7 @@ class Ros2Machine:
         if not topics.commands.publisher.readers():
             raise DeviceError(
                 f"no subscriber on {self.config.command_topic}, so commands would be lost; "
-                "start the driver, and check the topic's type"
+                "start the driver, and check the topic type"
             )
         with self._lock:
             if self.config.stop_release and topics.stop is not None:

@@ -198,7 +198,7 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
     """Write all readable messages of a damaged file to a new bag; raises LogError if there are
     none, and ArtifactError if `out` exists. An intact file is not copied."""
     if out.resolve() == path.resolve():
-        raise ArtifactError(f"{out}: is the damaged recording itself; choose another --out")
+        raise ArtifactError(f"{out}: is the damaged recording itself; choose a different --out")
     artifacts.check_file(out, overwrite)
     damages = [item for item in scan(path) if isinstance(item, Damage)]
     if not damages:

@@ -77,7 +77,8 @@ class BagRecorder:
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(
-                f"{path}: already exists, and recordings are never overwritten; choose another name"
+                f"{path}: already exists, and recordings are never overwritten; choose a different "
+                "name"
             ) from None
         except OSError as error:
             raise RunError(

@@ -185,7 +185,7 @@ def test_a_zero_that_was_not_checked_is_no_zero():
         made.servo.transmit = lambda answer: (
             () if is_status(answer) and made.servo.get(protocol.HOMING_OFFSET) else (answer,)
         )
-        with pytest.raises(DeviceError, match=r"no usable answer|does not respond"):
+        with pytest.raises(DeviceError, match=r"no usable response|does not respond"):
             made.drive.zero()
         assert made.servo.get(protocol.HOMING_OFFSET) == 0
         assert not made.drive.referenced
@@ -418,7 +418,7 @@ def test_a_silent_servo_is_told_and_its_stop_is_unconfirmed():
         made.servo.silence()
         made.loop(0.15)
         assert made.drive.read().time == before
-        assert "no usable answer for 0.2" in made.drive.complaints()[0]
+        assert "no usable response for 0.2" in made.drive.complaints()[0]
         began = made.clock()
         made.drive.stop()
         assert made.clock() - began < 2.0
@@ -470,7 +470,7 @@ def test_garbled_answers_are_counted_and_told():
         made.loop(0.15)
         assert made.drive.counters()["crc errors"] >= 15
         assert made.drive.read().angle == angle
-        assert "no usable answer" in made.drive.complaints()[0]
+        assert "no usable response" in made.drive.complaints()[0]
 
 
 def test_nonsense_and_foreign_packets_between_answers_do_no_harm():
@@ -635,7 +635,7 @@ def test_a_servo_that_does_not_answer_everything_is_made_to(level):
 def test_a_slow_adapter_is_refused():
     with bench() as made:
         made.servo.delay_s = 0.016
-        with pytest.raises(RigError, match=r"answers take 16 ms.*latency timer"):
+        with pytest.raises(RigError, match=r"responses take 16 ms.*latency timer"):
             made.drive.open()
 
 
@@ -658,7 +658,7 @@ def test_a_request_delayed_by_a_busy_computer_does_not_make_later_answers_late(m
 def test_a_servo_with_unusable_answers_is_refused():
     with bench() as made:
         made.servo.transmit = lambda answer: () if is_status(answer) else (answer,)
-        with pytest.raises(DeviceError, match="only 0 of 20 answers are usable; check its cable"):
+        with pytest.raises(DeviceError, match="only 0 of 20 responses are usable; check its cable"):
             made.drive.open()
 
 

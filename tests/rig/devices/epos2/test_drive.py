@@ -166,7 +166,7 @@ def test_a_command_before_enable_and_after_stop_is_refused() -> None:
 def test_an_empty_bus_says_where_to_look() -> None:
     drive = Epos2(bus_config(), drive_config(), SimulatedClock())
     with pytest.raises(
-        RigError, match=r"no drive answers as node 5 on CAN bus virtual .*; compare drive\.node"
+        RigError, match=r"no drive responds as node 5 on CAN bus virtual .*; compare drive\.node"
     ):
         drive.open()
     drive.close()

@@ -101,7 +101,7 @@ def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(
 def test_a_value_that_the_drive_refuses_is_to_be_changed_in_the_rigs_file(
     code: int, is_value: bool
 ) -> None:
-    assert ("use a value in the rig's file" in protocol.abort_line(code)) == is_value
+    assert ("use a value in the rig file" in protocol.abort_line(code)) == is_value
 
 
 def test_only_a_host_sends_its_heartbeat_and_its_sync() -> None:

@@ -1,4 +1,4 @@
-"""Configuration of the force sensor in a rig's file."""
+"""Configuration of the force sensor in a rig file."""
 
 from typing import Literal
 
@@ -18,7 +18,7 @@ class Axia80Config(StreamedSensorConfig):
     http_port: int = pydantic.Field(default=80, ge=1, le=65535)
     """TCP port of the sensor's web pages, from which units and scale are read."""
     rdt_port: int = pydantic.Field(default=49152, ge=1, le=65535)
-    """UDP port of the sensor's stream."""
+    """UDP port of the sensor stream."""
     rate_hz: float = pydantic.Field(default=1000.0, ge=200, le=8000)
     """RDT output rate set in the sensor [Hz]; the default is ten records per log row, which leaves
     room for the filter. softfin measures the rate when it opens the sensor and rejects a deviation

@@ -76,7 +76,7 @@ class RdtSource(RecordSource):
 
     def open(self) -> None:
         """Read the sensor's pages and request its stream; raises RigError if the sensor does not
-        match the rig's file and DeviceError if it does not respond."""
+        match the rig file and DeviceError if it does not respond."""
         config = self.config
         clock = self.clock
         self._reset()

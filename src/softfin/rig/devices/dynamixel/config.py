@@ -18,7 +18,7 @@ from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WA
 from softfin.rig.safety import OVERSHOOT_RAD
 
 MAX_ACCELERATION = 32_767
-"""Largest profile acceleration, in the servo's unit."""
+"""Largest profile acceleration, in the servo unit."""
 
 
 class DynamixelConfig(DriveConfig):
@@ -67,12 +67,12 @@ class DynamixelConfig(DriveConfig):
         if units.speed(self.slowest_rad_s) == 0:
             # The servo takes 0 for "as fast as possible".
             raise ValueError(
-                f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 in the servo's unit; increase it"
+                f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 in the servo unit; increase it"
             )
         for name in ("acceleration_rad_s2", "quick_stop_rad_s2"):
             value = getattr(self, name)
             if not 1 <= units.acceleration(value) <= MAX_ACCELERATION:
-                raise ValueError(f"{name} {value:g} is outside the servo's range")
+                raise ValueError(f"{name} {value:g} is outside the servo range")
         lowest, highest = position_range(self, OVERSHOOT_RAD)
         if lowest < 0 or highest >= TICKS_PER_TURN:
             raise ValueError(
@@ -84,7 +84,7 @@ class DynamixelConfig(DriveConfig):
 
 
 class Units(NamedTuple):
-    """Conversion between the fin's units and the servo's."""
+    """Conversion between the fin units and the servo's."""
 
     model: Model
     direction: int

@@ -111,7 +111,7 @@ class Dynamixel:
 
     def _reset(self) -> None:
         self.notes: tuple[str, ...] = ()
-        """Notes on the servo's setup since it was opened, one line each."""
+        """Notes on the servo setup since it was opened, one line each."""
         self.counted: Counter[str] = Counter()
         self.status: Status | None = None
         self._asked = self._time = 0.0
@@ -145,7 +145,7 @@ class Dynamixel:
             raise
 
     def open(self) -> None:
-        """Connect, check, and select what is read; the motor stays off. On failure, close
+        """Connect, check, and select the entries to read; the motor stays off. On failure, close
         again."""
         self.connect()
         try:
@@ -242,7 +242,7 @@ class Dynamixel:
         if not _is_applied(offset):
             degrees = 360 * (status.position - applied) / TICKS_PER_TURN
             raise RigError(
-                f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
+                f"the servo horn is at {degrees:.0f} degrees; mount the fin so that it is within "
                 "90 degrees of the middle, 180, when the fin is at zero"
             )
         try:
@@ -261,7 +261,7 @@ class Dynamixel:
         self._homing_offset = offset
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the servo's fault and return its description; None if there was none. Raises
+        """Acknowledge the servo fault and return its description; None if there was none. Raises
         DeviceError if the fault persists.
 
         The motor stays off. The drive must be reopened before it can be enabled.
@@ -336,7 +336,7 @@ class Dynamixel:
                     self._watch_shaft(before)
                     return silent_s
                 if line := self._fault():
-                    raise DeviceError(f"servo stopped for another reason: {line}")
+                    raise DeviceError(f"servo stopped for a different reason: {line}")
                 silence_s += protocol.WATCHDOG_UNIT_S
         raise DeviceError(
             f"servo ignores the loss of softfin's instructions: it did not stop within "
@@ -381,7 +381,7 @@ class Dynamixel:
         silent_s = self._asked - self._time
         if silent_s > self.config.heartbeat_s:
             lines.append(
-                f"{self.link.name}: no usable answer for {silent_s:.2f} s; check its supply and "
+                f"{self.link.name}: no usable response for {silent_s:.2f} s; check its supply and "
                 "cable, and that no second servo has its ID"
             )
         if self._unanswered >= UNANSWERED:
@@ -462,7 +462,7 @@ class Dynamixel:
         return self._known_status()
 
     def _check_delay(self) -> None:
-        """Measure how fast and how reliably the servo answers."""
+        """Measure how fast and how reliably the servo responds."""
         for _ in range(DELAY_ATTEMPTS):
             delays = self._measure_delays()
             if self.counted["late answers"] < MEASURED_READINGS / 2:
@@ -473,13 +473,13 @@ class Dynamixel:
             self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
             raise DeviceError(
-                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} answers are usable; "
-                "check its cable, termination and baud, and that no second servo has its ID"
+                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} responses are "
+                "usable; check its cable, termination and baud, and that no second servo has its ID"
             )
         median_s = sorted(delays)[len(delays) // 2]
         if median_s > SLOWEST_ANSWER_S:
             raise RigError(
-                f"{self.link.name}: answers take {1e3 * median_s:.0f} ms, which is too long for "
+                f"{self.link.name}: responses take {1e3 * median_s:.0f} ms, which is too long for "
                 "100 Hz; set the latency timer of the USB adapter to 1 ms"
             )
 
@@ -493,7 +493,7 @@ class Dynamixel:
         return delays
 
     def _fault(self) -> str | None:
-        """Return the servo's fault as of the latest status; None if there is none."""
+        """Return the servo fault as of the latest status; None if there is none."""
         if self._restarted:
             return "servo restarted; check its supply and cable, then start again"
         status = self.status
@@ -516,7 +516,7 @@ class Dynamixel:
             moved_rad = max(moved_rad, angle - self.units.angle(before), key=abs)
             self.clock.sleep(TICK_S)
         if not is_read:
-            raise DeviceError(f"{self.link.name}: no answer after it stopped; check its cable")
+            raise DeviceError(f"{self.link.name}: no response after it stopped; check its cable")
         if abs(moved_rad) > MOVED_RAD:
             raise DeviceError(
                 f"servo: turned the fin by {moved_rad:+.2f} rad during the stop test, possibly due "
@@ -536,7 +536,7 @@ class Dynamixel:
             # The next status shows whether the servo has it.
             pass
         except RefusedError as error:
-            # softfin's targets are within the servo's limits, so DATA_RANGE means that the bus
+            # softfin's targets are within the servo limits, so DATA_RANGE means that the bus
             # watchdog has tripped.
             is_tripped = error.code == Refusal.DATA_RANGE
             self._trouble = WATCHDOG_LINE if is_tripped else str(error)
@@ -671,7 +671,7 @@ class Dynamixel:
         """Return the motion that brakes from the latest status; None if it could turn the fin
         somewhere else.
 
-        From a status that is not fresh, the position is extrapolated, at most to the servo's goal.
+        From a status that is not fresh, the position is extrapolated, at most to the servo goal.
         """
         status = self.status
         if status is None:

@@ -1,4 +1,4 @@
-"""Instructions to one servo and its answers, over a serial port.
+"""Instructions to one servo and its responses, over a serial port.
 
 The port is half-duplex: an instruction is sent only after the answer to the one before, or after
 its time is over. Any thread may send; the lock keeps instructions apart.
@@ -34,7 +34,7 @@ SETUP_ANSWER_S = 0.1
 
 
 class NoAnswer(DeviceError):
-    """The servo did not answer in time."""
+    """The servo did not respond in time."""
 
 
 class RefusedError(DeviceError):
@@ -122,7 +122,7 @@ class ServoLink:
     def _using_port(self) -> Iterator[SerialPort]:
         """Lock the port for one instruction; raises DeviceError if the port cannot be used."""
         if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
-            raise DeviceError(f"{self.name}: another request is still unanswered; try again")
+            raise DeviceError(f"{self.name}: an earlier request is still pending; try again")
         try:
             if self._port is None:
                 raise DeviceError(f"{self.name}: not open; open it first")
@@ -153,7 +153,7 @@ class ServoLink:
         if answer is None:
             self.counters["answers missing"] += 1
             raise NoAnswer(
-                f"{self.name}: no answer to {what} within {1e3 * answer_s:.0f} ms; check its "
+                f"{self.name}: no response to {what} within {1e3 * answer_s:.0f} ms; check its "
                 "supply, cable, ID and baud"
             )
         code = answer[0] & ~ALERT

@@ -10,7 +10,7 @@ restart sets them back.
 
 softfin does not use ROBOTIS's `dynamixel-sdk`: it waits in busy loops on the computer's clock, so
 it cannot run in simulated time, and it rejects an instruction while another thread waits for an
-answer, which could be a stop. A test reads the emulated servo with it.
+answer, which could be a stop. The tests also use it to read the emulated servo.
 """
 
 import struct

@@ -1,4 +1,4 @@
-"""Age of a servo's answers, from its own clock in them."""
+"""Age of servo responses, from the servo clock in them."""
 
 from softfin.rig.devices.dynamixel.protocol import TICK_RANGE, TICK_UNIT_S
 
@@ -13,7 +13,7 @@ FORGOTTEN_S = 5.0
 
 
 class SampleClock:
-    """Detects answers to earlier requests: a packet does not contain what it answers, and a USB
+    """Detects responses to earlier requests: a packet does not identify its request, and a USB
     adapter or a busy computer may deliver it after the next request."""
 
     def __init__(self) -> None:

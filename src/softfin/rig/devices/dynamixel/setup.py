@@ -21,7 +21,7 @@ RESET = "then run: softfin rig check --reset-fault"
 
 
 def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
-    """Return the servo's firmware version; raises RigError if it does not answer, or is another
+    """Return the servo firmware version; raises RigError if it does not answer, or is another
     model."""
     try:
         number, firmware = link.ping()
@@ -47,7 +47,7 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
 
 
 def answer_everything(link: ServoLink) -> None:
-    """Make the servo answer every instruction, which another program may have changed."""
+    """Make the servo respond to every instruction, which another program may have changed."""
     with suppress(NoAnswer):
         link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
 
@@ -98,7 +98,7 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
         Setting(
             protocol.VELOCITY_LIMIT,
             (fastest,),
-            f"fastest_rad_s is {fastest} in the servo's unit; correct the rig file, or set the "
+            f"fastest_rad_s is {fastest} in the servo unit; correct the rig file, or set the "
             f"servo to {fastest}",
         ),
     )
@@ -106,7 +106,7 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
 
 def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
     """Raise RigError if the servo is in fault, already powered, or set up differently from the
-    rig's file."""
+    rig file."""
     if fault := read_fault(link):
         raise RigError(f"{fault}; {RESET}")
     if link.read(protocol.TORQUE_ENABLE):
@@ -117,7 +117,7 @@ def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
 
 
 def read_fault(link: ServoLink) -> str | None:
-    """Read the servo's fault; None if there is none."""
+    """Read the servo fault; None if there is none."""
     if status := link.read(protocol.HARDWARE_ERROR):
         return error_line(status)
     if link.read(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED:

@@ -92,7 +92,7 @@ class CanConnection:
             self.close()
             raise RigError(
                 f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, "
-                "bus.channel and bus.options in the rig's file, and check that the adapter is "
+                "bus.channel and bus.options in the rig file, and check that the adapter is "
                 "plugged in and up"
             ) from None
 
@@ -156,7 +156,7 @@ class CanConnection:
         # The receiver's thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
-                f"drive's {entry} cannot be accessed: another request is still unanswered; try "
+                f"drive's {entry} cannot be accessed: an earlier request is still pending; try "
                 "again"
             )
         try:
@@ -173,14 +173,16 @@ class CanConnection:
             self._requesting.release()
         if not answer:
             raise DeviceError(
-                f"drive {self.node} did not answer for {entry} within {SDO_TIMEOUT_S:g} s; check "
+                f"drive {self.node} did not respond for {entry} within {SDO_TIMEOUT_S:g} s; check "
                 "its supply, the bus cable and the bitrate"
             )
         if answer[0] == ABORTED:
             code = int.from_bytes(answer[4:], "little")
             raise SdoRefusal(f"drive refused {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
-            raise DeviceError(f"drive's answer for {entry} is invalid ({answer.hex()}); try again")
+            raise DeviceError(
+                f"invalid response from the drive for {entry} ({answer.hex()}); try again"
+            )
         return answer
 
     def _receive(self, bus: can.BusABC) -> None:
@@ -247,8 +249,8 @@ def download(entry: Object, value: int) -> bytes:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
         raise DeviceError(
-            f"drive's {entry} cannot be set to {value}, which is outside its range; change the "
-            "value in the rig's file"
+            f"drive's {entry} cannot be set to {value}, which is out of range; change the "
+            "value in the rig file"
         ) from None
     # CiA 301: expedited download that indicates the number of unused bytes.
     return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data

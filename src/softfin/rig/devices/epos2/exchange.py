@@ -188,7 +188,7 @@ class Handshake:
         """Number of consecutive times that the drive did not acknowledge a target."""
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
-        """Return what to send next: a target to set bit 4 with, True to clear bit 4, or None."""
+        """Return the next transmission: a target (sets bit 4), True (clears bit 4), or None."""
         late = now - self._since > self._patience
         if self._is_raised:
             if not (acknowledged or late):
@@ -262,7 +262,7 @@ class Exchange:
         self.reset()
 
     def reset(self) -> None:
-        """Reset all state to what it was before the first frame."""
+        """Reset all state to its value before the first frame."""
         self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.serial: int | None = None

@@ -54,7 +54,7 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
             f"{connection.name}: this program's node number {config.host} is in use by another "
-            "program or device; set a different drive.host_node in each rig's file, or end the "
+            "program or device; set a different drive.host_node in each rig file, or end the "
             "other program"
         )
     if foreign_ids & {
@@ -74,7 +74,7 @@ def identify_drive(connection: CanConnection) -> None:
         connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
         raise RigError(
-            f"no drive answers as node {connection.node} on {connection.name}; compare "
+            f"no drive responds as node {connection.node} on {connection.name}; compare "
             "drive.node with the drive's switches, and check its supply, cable, termination and "
             "bus.bitrate"
         ) from None
@@ -122,7 +122,7 @@ def settings(config: Epos2Config) -> tuple[Setting[Object], ...]:
         Setting(
             protocol.ENCODER_LINES,
             (lines,),
-            f"lines in the drive, but encoder_lines is {lines} in the rig's file, so every angle "
+            f"lines in the drive, but encoder_lines is {lines} in the rig file, so every angle "
             "would be wrong; correct it there, or",
         ),
         Setting(protocol.POSITION_NOTATION, (0,), power_of_ten.format("angle")),
@@ -133,7 +133,7 @@ def settings(config: Epos2Config) -> tuple[Setting[Object], ...]:
 
 def check_setup(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
     """Raise RigError if the drive is in fault, already enabled, or set up differently from the
-    rig's file; return one note per object that the drive does not have."""
+    rig file; return one note per object that the drive does not have."""
     if fault := read_fault(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
@@ -243,7 +243,7 @@ def write(
     if (held ^ value) & mask:
         raise RigError(
             f"drive's {shown or entry} stayed {held} when {value} was written; close EPOS Studio "
-            "and other programs, or use a value in the rig's file that the drive accepts"
+            "and other programs, or use a value in the rig file that the drive accepts"
         )
 
 
@@ -397,7 +397,7 @@ def time_own_stop(exchange: Exchange) -> float:
     """Withhold heartbeats from a powered drive until it faults by itself; return the time to the
     fault [s].
 
-    Raises DeviceError if the drive does not fault in time, or faults for another reason.
+    Raises DeviceError if the drive does not fault in time, or faults for a different reason.
     """
     exchange.send_heartbeat()
     last_heartbeat = exchange.clock()
@@ -413,7 +413,7 @@ def time_own_stop(exchange: Exchange) -> float:
         if state is State.FAULT:
             code = exchange.status.emergency or newest_error(exchange.connection)
             if code != protocol.HOST_LOST:
-                raise DeviceError(f"drive faulted for another reason: {fault_line(code)}")
+                raise DeviceError(f"drive faulted for a different reason: {fault_line(code)}")
             check_no_pause(silence, longest)
             return silence
         exchange.clock.sleep(STATE_STEP_S)

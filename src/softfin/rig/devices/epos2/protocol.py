@@ -341,7 +341,7 @@ def abort_line(code: int) -> str:
         "the drive off and on"
     )
     if 0x06090030 <= code <= 0x06090036:
-        way_out = "use a value in the rig's file that the drive accepts"
+        way_out = "use a value in the rig file that the drive accepts"
     return f"0x{code:08X}, {name}: {way_out}"
 
 

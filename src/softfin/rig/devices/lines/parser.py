@@ -22,7 +22,7 @@ LAGGING_S = 0.5
 """Time for which every line must be that late [s]; single late ones are bridged."""
 
 CLOCK_ERRORS = {"count": 0.05, "time_ms": 0.01, "time_us": 0.01}
-"""Largest relative error of the sensor's clock; a delay that grows more slowly cannot be
+"""Largest relative error of the sensor clock; a delay that grows more slowly cannot be
 distinguished from it. For a counter, the clock is its rate, which is measured for half a second."""
 
 
@@ -30,7 +30,7 @@ class Record(NamedTuple):
     """One line."""
 
     wrench: Float[np.ndarray, " 6"]
-    """Force and torque in the sensor's axes [N, N m]; zero for channels without a column."""
+    """Force and torque in the sensor axes [N, N m]; zero for channels without a column."""
     number: int | None
     """Value of the counter or of the time; None without such a column."""
 
@@ -117,7 +117,7 @@ class LagWatch:
         self._lagging_since: float | None = None
 
     def take(self, sent: float, arrived: float) -> None:
-        """Register a line that was sent at a time on the sensor's clock and arrived at one on the
+        """Register a line that was sent at a time on the sensor clock and arrived at one on the
         computer's [s]."""
         lag_s = arrived - sent - self._shortest.update(sent, arrived)
         if lag_s <= MAX_LAG_S:

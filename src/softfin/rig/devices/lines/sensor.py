@@ -98,7 +98,7 @@ class LineSource(RecordSource):
             yield CheckResult("force sensor", "note", text)
 
     def explain_silence(self) -> str:
-        """Return the columns that were expected and an example of what arrived."""
+        """Return the expected columns and an example of a received line."""
         if self._senders:
             others = " and ".join(self._senders)
             return f"records come only from {others}; check address and udp_port"
@@ -106,7 +106,7 @@ class LineSource(RecordSource):
         if self.counted["malformed"]:
             problem = f"no line with columns {', '.join(self.config.columns)}, e.g. "
             problem += self._shown_example()
-        return f"{problem}; {self.remedy}, and columns, separator and baud in the rig's file"
+        return f"{problem}; {self.remedy}, and columns, separator and baud in the rig file"
 
     def complaints(self) -> list[str]:
         """Return the faults of the port and of the lines."""
