@@ -207,7 +207,7 @@ def load_gru(description: JsonObject, weights: dict[str, np.ndarray], source: st
     scaling = Scaling(channels=description["scaling"])
     scaling.require(source)
     shapes = eqx.filter_eval_shape(GruNet, int(description["units"]), jax.random.key(0))
-    limits = Limits.of(description["limits"], one_velocity=True)
+    limits = Limits.of(description["limits"])
     return GruSurrogate(restored(shapes, weights, source), scaling, limits)
 
 

@@ -171,7 +171,7 @@ def test_the_lines_have_more_decimals_for_a_small_fin(there, tmp_path, monkeypat
     bag = str(tmp_path / "run.mcap")
     run("--reference=0.1234,0", "--arm", "--yes", "--seconds", "1", "--bag", bag)
     err = capsys.readouterr().err
-    assert "reference (+0.123, +0.000) N  mean over 2 s (+0.5000, +0.0000) N" in err
+    assert "target (+0.123, +0.000) N  mean (+0.5000, +0.0000) N" in err
 
 
 def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, capsys):

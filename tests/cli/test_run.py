@@ -153,7 +153,7 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         started(terminal)
         terminal.type("2,0.5\n")
-        terminal.wait_for("reference (+2.00, +0.50) N")
+        terminal.wait_for("target (+2.00, +0.50) N")
         terminal.type("hello\n")
         terminal.wait_for("type X,Y in newtons")
         terminal.type("\n")

@@ -148,8 +148,7 @@ class Drive(NamedTuple):
                 reference = ", ".join(f"{force:+.{decimals}f}" for force in result.reference)
                 mean = ", ".join(f"{force:+.{decimals + 1}f}" for force in (x, y))
                 line = (
-                    f"{ticks / RATE_HZ:7.1f} s  reference ({reference}) N  "
-                    f"mean over {clock.window_ticks / RATE_HZ:g} s ({mean}) N  "
+                    f"{ticks / RATE_HZ:7.1f} s  target ({reference}) N  mean ({mean}) N  "
                     f"angle {result.samples[-1].angle:+.2f} rad"
                 )
                 try:
