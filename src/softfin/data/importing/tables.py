@@ -152,7 +152,7 @@ def _read_column(
     if not np.isfinite(numbers).any():
         raise LogError(
             f"{path}: column {column.name!r} contains no numbers (first {values[0].as_py()!r}); "
-            f"choose another column with --columns {channel}=NAME"
+            f"choose a different column with --columns {channel}=NAME"
         )
     check_unit(channel, column, str(path))
     return numbers, column
