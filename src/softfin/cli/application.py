@@ -83,7 +83,10 @@ def format_help(function: Callable[..., object], program: str, width: int | None
     console = Console(file=io.StringIO(), width=width or shutil.get_terminal_size().columns)
     with console.capture() as capture:
         make_app(function, program).help_print([], console=console)
-    return "\n".join(line.rstrip() for line in capture.get().splitlines())
+    text = "\n".join(line.rstrip() for line in capture.get().splitlines())
+    parameters = inspect.signature(function).parameters.values()
+    positional = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
+    return text.replace("[ARGS", f"[{positional[-1].upper()}", 1) if positional else text
 
 
 def parse(
