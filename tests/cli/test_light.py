@@ -66,10 +66,10 @@ SLIPS: list[tuple[list[str], str]] = [
     (["inspect", "log.csv", "--rate", "-1"], "--rate -1: Input should be greater than 0"),
     (
         ["inspect", "log.csv"],
-        "log.csv: no header; the first line must contain the column names",
+        "log.csv: no rows of numbers below a header",
     ),
     (["import-logs", "full", *OUT], "full: contains no recordings; supported are .csv, "),
-    (["calibrate", "full", *OUT], "full: not a dataset"),
+    (["calibrate", "full", *OUT], "full: contains no recordings"),
     (["fit", "log.csv", *OUT, "--model", "oracle"], "surrogate architecture oracle: unknown; use"),
     (["train", "tank", *OUT, "--range", "3"], "reach"),
     (["train", "tank", *OUT, "--controller", "gaits"], "single"),

@@ -13,7 +13,7 @@ ESCAPED = r"fin\x1b]0;owned\x07\x9b2J\u202e"
 
 
 def test_an_error_that_quotes_a_file_is_shown_without_its_escapes(capsys, tmp_path):
-    (tmp_path / "a.csv").write_text(f"time,{HOSTILE}\n0,1\n")
+    (tmp_path / "a.csv").write_text(f"time,command angle,angle,{HOSTILE}\n0,1,2,3\n")
     with pytest.raises(SystemExit) as stop:
         main(["inspect", str(tmp_path)])
     said = capsys.readouterr().err

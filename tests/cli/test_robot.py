@@ -113,7 +113,7 @@ def test_a_stop_by_its_topic_ends_the_node_with_the_exit_code_of_a_stop(capsys, 
     told = capsys.readouterr().err
     assert "in memory" in told
     assert told.endswith(
-        "softfin robot ros2: emergency stop on /robot/stop; every fin was told to stop\n"
+        "softfin robot ros2: emergency stop on /robot/stop; a stop was sent to every fin\n"
     )
     assert all(
         transport.sent[f"/{name}_{side}/stop"][-1].data

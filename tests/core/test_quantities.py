@@ -54,7 +54,7 @@ def test_limits_come_back_as_they_were_described():
         ({"angle_min_rad": math.nan}, "angle_min_rad is nan"),
         ({"velocity_max_rad_s": math.inf}, "velocity_max_rad_s is inf"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.5708"),
-        ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
+        ({"velocity_min_rad_s": math.tau}, "velocity_min <= velocity_max"),
         ({"angle_min_rad": "0"}, "angle_min_rad is '0'"),
         ({"angle_min_rad": None}, "angle_min_rad is missing"),
         ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True"),

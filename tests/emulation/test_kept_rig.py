@@ -110,7 +110,7 @@ def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
         (lambda state: "{", "Expecting"),
         (
             lambda state: json.dumps(state | {"emulation": {"seed": 9, "tank": {}}}),
-            "of another seed or tank",
+            "of a different seed or tank",
         ),
         (lambda state: json.dumps({**state, "drive": {}}), "zero_counts"),
         (lambda state: json.dumps({**state, "fin": state["fin"] | {"state": [1]}}), "argument"),

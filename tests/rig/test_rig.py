@@ -53,7 +53,7 @@ def test_a_device_that_does_not_answer_leaves_nothing_open():
         with pytest.raises(DeviceError, match="is closed; open the drive first"):
             robot.machine.drive.connection.send(0x80, b"")
         behind.drive.close()
-        with pytest.raises(RigError, match="no drive answers"):
+        with pytest.raises(RigError, match="no drive responds"):
             robot.machine.open()
 
 

@@ -69,7 +69,7 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
             collect_live(robot, out, CONFIG, yes)
         other = CONFIG.model_copy(update={"seed": 4})
         with pytest.raises(
-            ArtifactError, match=r"another run \(configuration.seed was 3 and is 4\)"
+            ArtifactError, match=r"different run \(configuration.seed was 3 and is 4\)"
         ):
             collect_live(robot, out, other, yes, resume=True)
 
@@ -269,7 +269,7 @@ def test_a_collection_that_does_not_say_how_its_sensor_was_set_up_is_not_continu
         claim = json.loads(state.read_text())
         del claim["rig"]["sensor"]
         state.write_text(json.dumps(claim))
-        with pytest.raises(ArtifactError, match=r"another run \(.*rig\.sensor\.frame was None"):
+        with pytest.raises(ArtifactError, match=r"different run \(.*rig\.sensor\.frame was None"):
             two_logs(robot, out, resume=True)
 
 

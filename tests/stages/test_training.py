@@ -117,7 +117,7 @@ def killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_killed_training_resumes_and_a_finished_one_is_not_repeated(killed: Path) -> None:
     with pytest.raises(ArtifactError, match="an unfinished run; continue with --resume, or"):
         train(StrokeFin(), out=killed, config=PPO)
-    with pytest.raises(ArtifactError, match=r"another run \(seed was 0 and is 1\)"):
+    with pytest.raises(ArtifactError, match=r"different run \(seed was 0 and is 1\)"):
         train(StrokeFin(), out=killed, config=PPO, seed=1, resume=True)
     result = train(StrokeFin(), out=killed, config=PPO, resume=True)
     said = Said()

@@ -124,7 +124,7 @@ def open_logs(
         else:
             logs += some
         issues += found
-        if progress is not None:
+        if progress is not None and logs:
             progress("read", (index + 1) / len(files), f"{len(logs):,} logs")
     if not logs and refusals:
         others = f"; {counted(len(refusals) - 1, 'more file')} refused" if refusals[1:] else ""

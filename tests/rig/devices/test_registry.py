@@ -42,7 +42,7 @@ def test_a_file_without_types_means_the_epos2_and_the_axia80(values):
             "axia8",
             r"sensor: type 'axia8': unknown force sensor; use one of axia80, dynamixel, epos2, lines",
         ),
-        ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use another type"),
+        ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use a different type"),
     ],
 )
 def test_a_type_that_does_not_exist_or_does_not_fit_is_refused(values, part, name, words):

@@ -40,7 +40,7 @@ def test_values_that_must_not_be_guessed_have_no_default():
         ({"quick_stop_rad_s2": 20.0}, "below acceleration_rad_s2"),
         ({"quick_stop_rad_s2": 1.0, "acceleration_rad_s2": 1.0}, r"use 6\.3 or more"),
         ({"slowest_rad_s": 0.01}, "slowest_rad_s 0.01 rounds to 0"),
-        ({"acceleration_rad_s2": 0.1}, "acceleration_rad_s2 0.1 is outside the servo's range"),
+        ({"acceleration_rad_s2": 0.1}, "acceleration_rad_s2 0.1 is outside the servo range"),
         ({"quick_stop_rad_s2": 20_000.0}, "quick_stop_rad_s2 20000 is outside"),
         ({"angle_max_rad": 3.0}, "must be within 2.99 rad of zero"),
         ({"prot": "x"}, "port"),

@@ -85,7 +85,7 @@ def test_another_fault_is_no_proof() -> None:
             made.emulated.fault(0x4210)
 
         made.clock.spawn(fail_soon, "fault")
-        with pytest.raises(DeviceError, match="another reason: drive fault 0x4210"):
+        with pytest.raises(DeviceError, match="different reason: drive fault 0x4210"):
             made.drive.prove_stop()
         assert made.emulated.state not in POWERED
 
