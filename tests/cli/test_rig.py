@@ -216,7 +216,7 @@ def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(
     assert config.safety == SafetyConfig(current_peak_a=3.0, current_sustained_a=1.5)
     line, code = fails(capsys, "rig", "emulate")
     assert (
-        line.endswith("already exists; choose a different --rig, or use --overwrite to replace it"),
+        line.endswith("already exists; set a different --rig, or use --overwrite to replace it"),
         code,
     ) == (True, 2)
     (tmp_path / "rig.state.json").write_text("of the rig before")
