@@ -224,6 +224,13 @@ def test_the_rate_of_times_in_whole_milliseconds_is_their_mean():
     assert "sampled at 80.0 Hz" in issues[0].message
 
 
+def test_missing_rows_do_not_make_a_source_slow():
+    whole = track()
+    rows = np.arange(len(whole.time))
+    _, issues = logs(valid_rows(whole, rows % 20 != 7))
+    assert "slow rate" not in kinds(issues)
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_a_clock_in_another_unit_is_refused_with_the_option(factor, unit):
     one = track()

@@ -266,8 +266,8 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
 
 def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
     steps = np.diff(track.time)
-    # The mean, because the median of rounded times is rounded too, without gaps.
-    rate = 1 / float(steps[steps <= 2 * np.median(steps)].mean())
+    # The mean without gaps, because the median of rounded times is rounded too.
+    rate = 1 / float(steps[steps < 1.5 * np.median(steps)].mean())
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
             f"{name}: column time: one row every {1 / rate:g} s ({rate:g} Hz); must be "
