@@ -170,7 +170,7 @@ def _read(
 
 
 def _refusal(error: LogError, name: str) -> Issue:
-    """Return the issue of a file that cannot be read: an error, unless it is no log at all."""
+    """Return the issue of a file that cannot be read: an error, unless the file is not a log."""
     if isinstance(error, NotALogError):
         return Issue("warning", "not a log", name, f"ignored ({error})")
     return Issue("error", "unreadable", name, str(error))

@@ -113,11 +113,11 @@ def speed_ratio(command: LogSeries, velocity: LogSeries, angle: LogSeries) -> fl
     rate = measure_rate(angle)
     speed = np.abs(rate)
     # Steady: the speed would take more than 0.1 s to change by itself.
-    steady = (np.abs(command - angle) > 0.1) & (0.1 * np.abs(measure_rate(rate)) < speed)
-    steady &= velocity > 0
-    if steady.sum() < RATE_HZ // 2:
+    is_steady = (np.abs(command - angle) > 0.1) & (0.1 * np.abs(measure_rate(rate)) < speed)
+    is_steady &= velocity > 0
+    if is_steady.sum() < RATE_HZ // 2:
         return None
-    return float(np.median(speed[steady] / velocity[steady]))
+    return float(np.median(speed[is_steady] / velocity[is_steady]))
 
 
 def fin_length(angle: LogSeries, force: ForceSeries) -> float:
