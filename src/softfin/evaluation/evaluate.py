@@ -261,11 +261,11 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
         settling = list(map(np.concatenate, by_signal))
         moving.append(same[0]._replace(scores=scores, settling=settling))
     random = None
-    range_errors = [evaluation.random for evaluation in evaluations if evaluation.random is not None]
-    if range_errors:
+    pooled = [evaluation.random for evaluation in evaluations if evaluation.random is not None]
+    if pooled:
         random = summarize(
-            np.concatenate([part["references_n"] for part in range_errors]),
-            np.concatenate([part["errors_n"] for part in range_errors]),
+            np.concatenate([part["references_n"] for part in pooled]),
+            np.concatenate([part["errors_n"] for part in pooled]),
         )
     distances = [each.distance for each in evaluations if each.distance is not None]
     warnings = dict.fromkeys(chain(*(evaluation.warnings for evaluation in evaluations)))
