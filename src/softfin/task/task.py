@@ -32,8 +32,8 @@ Action = Float[Array, "2"]
 PastActions = Float[Array, "remembered 2"]
 ForceWindow = Float[Array, "window 2"]
 
-SMALLEST_WIDTH_RAD_S = 1e-6
-"""Smallest width of a range of velocities in a division [rad/s]."""
+MIN_WIDTH_RAD_S = 1e-6
+"""Minimum width of a range of velocities in a division [rad/s]."""
 
 FORCE_BLOCKS = 8
 """Number of blocks of the window whose mean forces the critic observes; they reveal which forces
@@ -260,7 +260,7 @@ def command_to_action(limits: Limits, command: Command) -> Action:
     """Return the action of a command: map the plant's limits to [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
     # With one velocity, every action has it.
-    width = jnp.maximum(limits.velocity_max - limits.velocity_min, SMALLEST_WIDTH_RAD_S)
+    width = jnp.maximum(limits.velocity_max - limits.velocity_min, MIN_WIDTH_RAD_S)
     velocity = (command.velocity - limits.velocity_min) / width
     return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1
 
