@@ -208,13 +208,14 @@ def test_the_last_lines_say_how_good_the_surrogate_is_and_what_comes_next(
 ):
     logs = [small.recorded(300, seed) for seed in range(3)]
     write_dataset(tmp_path / "data", logs, [small.recorded(300, 9)][:test_logs], {})
-    out = tmp_path / "s"
+    out = tmp_path / "my surrogate"
     text = run(capsys, "fit", str(tmp_path / "data"), "--out", str(out))
     *_, verdict, command = text.splitlines()
     kind = "test" if test_logs else "held-out"
     assert f"in 1 {kind} log" in verdict
     assert "% of its range" in verdict
-    assert command == f"next: softfin map {out} --out gaits"
+    # Quoted for a shell.
+    assert command == f"next: softfin map '{out}' --out gaits"
 
 
 def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, monkeypatch):

@@ -2,6 +2,7 @@
 policies (paper Sec. III-C), or export one to ONNX."""
 
 import math
+import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -91,7 +92,7 @@ def map_forces(
     """
     out = Path(out)
     chosen_clock = find_clock(clock, plant)
-    artifacts.check_vacant(out, overwrite)
+    artifacts.check_vacant(out, overwrite, kind="controller")
     check_plant(plant)
     from softfin.control.store import save_gaits
     from softfin.core.plant_identity import identity
@@ -194,7 +195,7 @@ def train(
     out = Path(out)
     check_seed(seed)
     chosen_clock = find_clock(clock, surrogate)
-    artifacts.check_vacant(out, overwrite or resume)
+    artifacts.check_vacant(out, overwrite or resume, kind="controller")
     check_plant(surrogate)
     from softfin.core.plant_identity import identity
     from softfin.gaits.simulate import SurveyConfig, survey
@@ -251,7 +252,8 @@ def train(
 
 def next_step(controller: Path, plant: PlantLike) -> str:
     """Return the command with which to try a controller next."""
-    return f"next: softfin evaluate {controller} --plant {plant_name(plant)}"
+    name = shlex.quote(plant_name(plant))
+    return f"next: softfin evaluate {shlex.quote(str(controller))} --plant {name}"
 
 
 def _score_table(scores: Sequence[JsonObject]) -> list[str]:

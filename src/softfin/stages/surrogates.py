@@ -1,5 +1,6 @@
 """Stages for models of a fin: fit a surrogate (paper Sec. III-B), and calibrate the tank."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -160,7 +161,7 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: flo
         clock = " --clock auto"
     parts.append(
         f"{out}: {_verdict(written['scores'], opened, held_out)}\n"
-        f"next: softfin map {out}{clock} --out gaits"
+        f"next: softfin map {shlex.quote(str(out))}{clock} --out gaits"
     )
     notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
     if warning is not None:
