@@ -140,7 +140,7 @@ def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
 def started(terminal):
     terminal.wait_for("Type 'move' and press Enter: ")
     terminal.type("move\n")
-    terminal.wait_for("1.0 s  reference")
+    terminal.wait_for("1.0 s  target")
 
 
 LIVE = ("--reference=1,-1", "--arm", "--bag", "a.mcap")
