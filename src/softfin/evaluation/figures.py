@@ -14,9 +14,10 @@ from matplotlib.projections.polar import PolarAxes
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.fin_figure import draw_fin
 from softfin.evaluation.headline import settling_time
 from softfin.evaluation.moving_references import MovingScores
-from softfin.storage.figures import BLACK, BLUE, ORANGE, new_figure, styled, with_minus_signs
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
@@ -52,6 +53,32 @@ def experiments_figure(
                 axes.set(ylabel=f"force {axis} [N]", ylim=ylim)
             forces[1].set(xlabel="time [s]", xlim=(0, len(shown[index]) / RATE_HZ))
         add_legend(figure, figure.get_axes()[1:2], "outside lower center")
+    return figure
+
+
+def fin_figure(recording: ExperimentRecording) -> Figure:
+    """Draw the fin with its forces in the middle of the last window, at the largest reference and
+    the first seed. The shape is unknown, so the fin is drawn straight, one length long."""
+    reference = np.asarray(recording.reference)
+    sizes = np.linalg.norm(reference.reshape(len(reference), -1, 2)[:, -1], axis=1)
+    index = int(sizes.argmax())
+    window = recording.clock.window_ticks
+    angle = np.asarray(recording.reading.angle[index, 0, -window:])
+    force = np.asarray(recording.force[index, 0, -window:])
+    target = reference[index].reshape(-1, 2)[-1]
+    forces = np.stack([force[window // 2], force.mean(axis=0), target])
+    tips = np.stack([-np.cos(angle), np.sin(angle)], axis=1)
+    x, y = target
+    with styled():
+        figure = new_figure(4.4, 4.2)
+        axes = figure.subplots()
+        for tip in tips[:: max(1, window // 10)]:
+            axes.plot(*np.stack([0 * tip, tip]).T, color=GREY, alpha=0.2, linewidth=7)
+        shape = np.stack([np.zeros(2), tips[window // 2]])
+        draw_fin(axes, shape, forces, scale_n=float(np.linalg.norm(forces, axis=1).max()))
+        axes.set(xticks=[], yticks=[], xlabel="x: thrust", ylabel="y: side force")
+        axes.set_title(with_minus_signs(f"target force ({x:g}, {y:g}) N"), weight="bold")
+        axes.legend(loc="lower right")
     return figure
 
 

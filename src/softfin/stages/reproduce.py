@@ -450,16 +450,20 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
     learning = {}
     experiment = {}
     moving = {}
+    fin = {}
     shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
     seeds = range(results["seed"], results["seed"] + results["seeds"])
     for kind in results["controllers"]:
         caption = f"{kind} controller, seed {results['seed']}"
         learning[caption] = _folders(out, kind, seeds)[0] / "training/learning.png"
+        fin[f"Fin under the {caption}, faint: its stroke"] = shown / kind / "fin.png"
         experiment[caption] = out / "evaluation" / kind / "experiments.png"
         for file in sorted((shown / kind).glob("*.png")):
-            if file.stem != "experiments":
+            if file.stem not in ("experiments", "fin"):
                 moving[f"{caption}, {file.stem}"] = file
+    # One picture of the fin is enough.
     sections = {
+        "fin": dict(list(fin.items())[:1]),
         "surrogate": prediction,
         "learning": learning,
         "experiment": experiment,
