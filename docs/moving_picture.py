@@ -12,12 +12,15 @@ from pathlib import Path
 
 from PIL import Image
 
+import softfin
 from softfin.stages.explore import explore
-from softfin.storage.example import EXAMPLE
 from tests.browser import Browser
 
+EXAMPLE = Path(softfin.__file__).parent / "example"
 WIDTH = 600
 HEIGHT = 340
+PIXEL_RATIO = 2
+"""Text stays sharp on a high-resolution screen."""
 TICKS_PER_FRAME = 5
 """20 frames per second."""
 NUM_FRAMES = 120
@@ -34,6 +37,13 @@ def main(target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder, Browser(WIDTH, HEIGHT) as browser:
         page = Path(folder) / "explore.html"
         explore(EXAMPLE / "gaits", out=page)
+        browser.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=WIDTH,
+            height=HEIGHT,
+            deviceScaleFactor=PIXEL_RATIO,
+            mobile=False,
+        )
         browser.open(page, "#paused=1&trim=0")
         browser.run(STYLE)
         browser.frames(2)

@@ -70,7 +70,7 @@ def fin_figure(recording: ExperimentRecording) -> Figure:
     tips = np.stack([-np.cos(angle), np.sin(angle)], axis=1)
     x, y = target
     with styled():
-        figure = new_figure(4.4, 4.2)
+        figure = new_figure(3.5, 3.4)
         axes = figure.subplots()
         for tip in tips[:: max(1, window // 10)]:
             axes.plot(*np.stack([0 * tip, tip]).T, color=GREY, alpha=0.2, linewidth=7)

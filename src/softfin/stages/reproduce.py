@@ -446,24 +446,27 @@ def _collect_results(
 
 def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]]:
     """Return the figures of the stages, by section of the report and by caption."""
+    from softfin.evaluation.headline import headline
+
     prediction = {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
     learning = {}
     experiment = {}
     moving = {}
-    fin = {}
     shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
     seeds = range(results["seed"], results["seed"] + results["seeds"])
     for kind in results["controllers"]:
         caption = f"{kind} controller, seed {results['seed']}"
         learning[caption] = _folders(out, kind, seeds)[0] / "training/learning.png"
-        fin[f"Fin under the {caption}, faint: its stroke"] = shown / kind / "fin.png"
         experiment[caption] = out / "evaluation" / kind / "experiments.png"
         for file in sorted((shown / kind).glob("*.png")):
             if file.stem not in ("experiments", "fin"):
                 moving[f"{caption}, {file.stem}"] = file
-    # One picture of the fin is enough.
+    fin = {}
+    if best := headline(results):
+        caption = f"The fin under the {best.controller} controller, with its stroke in grey"
+        fin[caption] = shown / best.controller / "fin.png"
     sections = {
-        "fin": dict(list(fin.items())[:1]),
+        "fin": fin,
         "surrogate": prediction,
         "learning": learning,
         "experiment": experiment,
