@@ -26,8 +26,7 @@ author = "softfin contributors"
 copyright = "softfin contributors, Apache-2.0"
 release = importlib.metadata.version("softfin")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "pages"]
-exclude_patterns = ["_generated"]
+extensions = ["myst_nb", "pages"]
 html_theme = "furo"
 html_title = "softfin"
 html_static_path = ["_static"]
@@ -47,12 +46,6 @@ nb_execution_timeout = 3600
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True
-
-autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
-autodoc_typehints = "description"
-autodoc_typehints_format = "short"
-python_use_unqualified_type_names = True
 
 
 def deal_out(app: Any, env: Any, pages: list[str]) -> None:

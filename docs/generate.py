@@ -1,13 +1,16 @@
-"""Pages of the site that are written from softfin itself: command line, configuration, Python,
-errors, evidence.
+"""Pages that are written from softfin itself: command line, configuration, Python, errors,
+evidence. ``python -m docs.generate`` writes them.
 
-Sphinx runs it before each build (conf.py); what it writes is not kept in git.
+They are kept in git, so that they can be read without a build; a test keeps them current. Sphinx
+also runs this before each build (conf.py).
 """
 
+import importlib
 import inspect
 import json
 import re
 import tempfile
+import textwrap
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,21 +31,31 @@ from softfin.stages.explore import explore
 
 ROOT = Path(__file__).parents[1]
 
+MARK = "<!-- Below this line, the page is generated: python -m docs.generate -->\n"
 
-def pages(folder: Path) -> None:
-    """Write the parts that pages include, each only where it has changed, so that Sphinx reads no
-    page twice."""
-    folder.mkdir(exist_ok=True)
-    for name, lines in {
-        "command-line": command_line(),
-        "configuration": configuration(),
-        "python": python(),
-        "errors": error_classes(),
+
+def pages() -> dict[Path, str]:
+    """Return the text of each page; what is above the mark is kept."""
+    parts = {
+        "reference/command-line": command_line(),
+        "reference/configuration": configuration(),
+        "reference/python": python(),
+        "reference/errors": error_classes(),
         "evidence": evidence(),
-    }.items():
-        file = folder / f"{name}.md"
-        text = "\n".join(lines) + "\n"
-        if not file.is_file() or file.read_text() != text:
+    }
+    texts = {}
+    for name, lines in parts.items():
+        file = ROOT / "docs" / f"{name}.md"
+        above, mark, _ = file.read_text().partition(MARK)
+        assert mark, f"{file}: the mark is missing"
+        texts[file] = f"{above}{mark}\n" + "\n".join(lines).rstrip() + "\n"
+    return texts
+
+
+def write_pages() -> None:
+    """Write the pages that have changed, so that Sphinx reads no page twice."""
+    for file, text in pages().items():
+        if file.read_text() != text:
             file.write_text(text)
 
 
@@ -169,17 +182,18 @@ def _plain(value: Any) -> Any:
 
 def python() -> Iterator[str]:
     names = sorted(name for name in softfin.__all__ if name not in ("testing", "GRID", "SINGLE"))
-    stages = [name for name in names if inspect.isfunction(getattr(softfin, name))]
-    classes = [name for name in names if inspect.isclass(getattr(softfin, name))]
-    configurations = [name for name in classes if issubclass(getattr(softfin, name), Configuration)]
-    for title, kind, group in (
-        ("Functions", "autofunction", stages),
-        ("Classes", "autoclass", [name for name in classes if name not in configurations]),
-    ):
-        yield from (f"## {title}", "")
-        for name in group:
-            members = ["   :members:"] if kind == "autoclass" else []
-            yield from ("```{eval-rst}", f".. {kind}:: softfin.{name}", *members, "```", "")
+    found = {name: getattr(softfin, name) for name in names}
+    kinds = {name: value for name, value in found.items() if inspect.isclass(value)}
+    configurations = [name for name, kind in kinds.items() if issubclass(kind, Configuration)]
+    yield from ("## Functions", "")
+    for name, function in found.items():
+        if inspect.isfunction(function):
+            yield from _documented(f"softfin.{name}", function)
+    yield from ("## Classes", "")
+    for name, kind in kinds.items():
+        if name not in configurations:
+            yield from _documented(f"softfin.{name}", kind)
+            yield from _members(kind)
     yield from (
         "## Configurations",
         "",
@@ -188,16 +202,71 @@ def python() -> Iterator[str]:
         + "; `softfin.SINGLE` and `softfin.GRID` are the defaults of training.",
         "",
     )
-    for module in ("softfin.testing", "softfin.gym"):
-        yield from (
-            f"## {module}",
-            "",
-            "```{eval-rst}",
-            f".. automodule:: {module}",
-            "   :members:",
-            "```",
-            "",
-        )
+    for name in ("softfin.testing", "softfin.gym"):
+        module = importlib.import_module(name)
+        yield from (f"## {name}", "", *_text(module))
+        for member, value in vars(module).items():
+            is_own = getattr(value, "__module__", "").startswith(name)
+            if is_own and callable(value) and not member.startswith("_"):
+                yield from _documented(f"{name}.{member}", value)
+                if inspect.isclass(value):
+                    yield from _members(value)
+
+
+def _documented(name: str, value: Any) -> Iterator[str]:
+    """A heading, the parameters and the docstring."""
+    yield from (f"### {name}", "")
+    if not (inspect.isclass(value) and inspect.isabstract(value)):
+        yield from ("```python", _call(name, value), "```", "")
+    yield from _text(value)
+
+
+def _call(name: str, value: Any) -> str:
+    """A call with the parameters and their defaults."""
+    shown = []
+    for parameter in inspect.signature(value).parameters.values():
+        bare = parameter.replace(annotation=inspect.Parameter.empty)
+        if isinstance(bare.default, Path):
+            bare = bare.replace(default=str(bare.default))
+        if bare.kind is bare.KEYWORD_ONLY and not any("*" in each for each in shown):
+            shown.append("*")
+        # Objects have no form that can be typed.
+        has_form = bare.default is bare.empty or not repr(bare.default).startswith("<")
+        shown.append(str(bare) if has_form else f"{bare.name}=...")
+    return "\n".join(textwrap.wrap(f"{name}({', '.join(shown)})", 96, subsequent_indent="    "))
+
+
+def _text(value: Any) -> Iterator[str]:
+    """A docstring as Markdown: its sections are lists, and its examples are code."""
+    text = inspect.cleandoc(value.__doc__ or "").replace("``", "`")
+    section = ""
+    for line in text.splitlines():
+        if found := re.fullmatch(
+            r"(Args|Returns|Yields|Raises|Attributes|Example|Examples):", line
+        ):
+            section = found[1]
+            yield from ("", f"**{section}**", "")
+        elif entry := re.fullmatch(r"    (\*?\w+): (.*)", line):
+            yield f"- `{entry[1]}`: {entry[2]}" if section else line
+        elif section.startswith("Example") and line.strip():
+            yield f"    {line.strip().removeprefix('>>> ').removeprefix('... ')}"
+        elif line.startswith("        ") and section:
+            yield f"  {line.strip()}"
+        else:
+            yield line.strip() if section else line
+    yield ""
+
+
+def _members(kind: type) -> Iterator[str]:
+    """The fields and methods of a class that have a docstring."""
+    for name, value in vars(kind).items():
+        text = " ".join(inspect.cleandoc(getattr(value, "__doc__", None) or "").split())
+        # Named tuples make such a text for their fields.
+        if name.startswith("_") or not text or text.startswith("Alias for field"):
+            continue
+        call = f"{name}()" if inspect.isfunction(value) else name
+        yield f"- `{call}`: {text.replace('``', '`')}"
+    yield ""
 
 
 def error_classes() -> Iterator[str]:
@@ -224,7 +293,9 @@ def evidence() -> Iterator[str]:
         yield from (
             f"## {record['title']}",
             "",
-            f"{source(file.stem, record)}. {_versions(record)}",
+            # The age would change with every commit; `python -m results --list` prints it.
+            f"{re.sub('; [0-9,]+ commits? old on [0-9-]+', '', source(file.stem, record))}. "
+            f"{_versions(record)}",
             "",
         )
         for name in PARTS[file.stem](SEEDS).pictures:
@@ -273,5 +344,5 @@ def _versions(record: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    pages(ROOT / "docs" / "_generated")
+    write_pages()
     explorer(ROOT / "build" / "extra")

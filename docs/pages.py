@@ -1,5 +1,5 @@
-"""Extension of Sphinx: cells as one types them, links by a page's title, and an error for a dead
-link."""
+"""Extension of Sphinx: the sidebar, cells as one types them, links by a page's title, and an error
+for a dead link."""
 
 import re
 from html.parser import HTMLParser
@@ -43,6 +43,26 @@ def dead_links(site: Path) -> list[str]:
             if not place.exists() or not named:
                 dead.append(f"{file.relative_to(site.resolve())}: {target}")
     return sorted(dead)
+
+
+EXPLORER = (
+    '<iframe src="explorer.html" title="Explorer: drag the reference force and watch the fin"\n'
+    '  style="width: 100%; height: 1360px; border: 1px solid var(--color-background-border)">'
+    '</iframe>\n\nYou can also <a href="explorer.html">open it on its own page</a>.'
+)
+
+
+def complete_index(app: Any, docname: str, source: list[str]) -> None:
+    """Put the explorer into the first page, and make the sidebar from its list of all pages."""
+    if docname != "index":
+        return
+    text, _, lists = source[0].partition("## All pages\n")
+    trees = [""]
+    for group in re.split(r"^- \*\*", lists, flags=re.MULTILINE)[1:]:
+        caption, _, rest = group.partition("**")
+        names = re.findall(r"\]\(([^)]+)\.md\)", rest)
+        trees += ["```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```", ""]
+    source[0] = text.replace("<!-- explorer -->", EXPLORER) + "\n".join(trees)
 
 
 def show_as_typed(app: Any, doctree: Any) -> None:
@@ -90,6 +110,7 @@ def check(app: Any, failure: Exception | None) -> None:
 
 def setup(app: Any) -> dict[str, Any]:
     """Called by Sphinx."""
+    app.connect("source-read", complete_index)
     app.connect("doctree-read", show_as_typed)
     app.connect("doctree-resolved", name_by_title)
     app.connect("build-finished", check)

@@ -17,6 +17,8 @@ MARKDOWN = (
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs").glob("[!_]*/*.md")),
 )
+GENERATED = "<!-- Below this line, the page is generated"
+"""The end of what is written by hand."""
 CELL = "code-cell"
 """Kind of a block that the build of the site runs."""
 SHOWING = (
@@ -65,9 +67,9 @@ def plant_name(path: Path) -> str:
 
 @cache
 def text_of(path: Path) -> str:
-    """A document; of Python its docstring, of YAML its comments as blocks."""
+    """A document as far as it is written by hand; of Python its docstring."""
     if path.suffix != ".py":
-        return path.read_text()
+        return path.read_text().partition(GENERATED)[0]
     text = ast.get_docstring(ast.parse(path.read_text())) or ""
     # The first sentence of a script may show its command between double backquotes.
     return text.replace("``", "`")

@@ -18,7 +18,7 @@ from softfin.cli import COMMANDS, import_function
 from softfin.cli.application import list_options
 from softfin.core import errors
 from tests.data.recorded import record
-from tests.documents import ROOT
+from tests.documents import ROOT, links
 from tests.test_documentation import CONFIGURATIONS
 
 LAYOUT = json.loads((ROOT / "docs/foxglove-layout.json").read_text())
@@ -28,6 +28,26 @@ LAYOUT = json.loads((ROOT / "docs/foxglove-layout.json").read_text())
 def generate() -> SimpleNamespace:
     """The functions of docs/generate.py."""
     return SimpleNamespace(**runpy.run_path(str(ROOT / "docs/generate.py")))
+
+
+def test_the_generated_pages_in_git_are_current(generate):
+    old = [file.name for file, text in generate.pages().items() if file.read_text() != text]
+    assert not old, "python -m docs.generate writes them again"
+
+
+def test_every_page_is_reached_by_links_from_the_readme():
+    to_read = [ROOT / "README.md"]
+    found = set(to_read)
+    while to_read:
+        page = to_read.pop()
+        for link in links(page):
+            target = (page.parent / link.partition("#")[0]).resolve()
+            if target.suffix == ".md" and target not in found and target.is_file():
+                found.add(target)
+                to_read.append(target)
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("[!_]*/*.md")]
+    assert {page for page in pages if page not in found} == set()
+    assert {ROOT / "results/README.md", ROOT / "CONTRIBUTING.md"} <= found
 
 
 def test_the_command_line_page_has_every_option_of_every_command(generate):

@@ -14,13 +14,26 @@ fast. In Gymnasium, the environment is ``softfin.gym:softfin/ForceTracking-v0``,
 ``softfin/ForceTracking-v0`` if Gymnasium was imported before softfin.
 """
 
+import inspect
 import sys
+from typing import Any
 
 import lazy_loader
 
+from softfin.core.arguments import check_arguments
 from softfin.core.gym_registration import register
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_import_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    value = _import_name(name)
+    if inspect.isfunction(value):
+        value = check_arguments(value)
+    # The next access finds the name itself.
+    globals()[name] = value
+    return value
+
 
 if "gymnasium" in sys.modules:
     register()

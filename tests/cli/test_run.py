@@ -137,6 +137,25 @@ def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
     still(emulated)
 
 
+@pytest.mark.real_time
+def test_the_state_is_updated_in_place_above_what_is_typed(controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
+        started(terminal)
+        terminal.wait_for("3.0 s  target")
+        # One line with the state, and one that says what may be typed.
+        shown = terminal.said[terminal.said.index("1.0 s  target") :]
+        assert shown.count("\n") == 1
+        assert shown.count("type X,Y for a new target, or press Enter alone to stop the fin: ") == 1
+        terminal.type("2,0.5\n")
+        terminal.wait_for("target (+2.00, +0.50) N")
+        shown = terminal.said[terminal.said.index("2,0.5") :]
+        assert "press Enter alone to stop the fin: " in shown
+        terminal.signal(signal.SIGINT)
+        assert terminal.ended() == 3
+        assert "s, error over the last 2 s (" in terminal.said
+        assert "a.mcap: " in terminal.said
+
+
 def started(terminal):
     terminal.wait_for("Type 'move' and press Enter: ")
     terminal.type("move\n")
@@ -158,9 +177,10 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
         terminal.wait_for("type X,Y in newtons")
         terminal.type("\n")
         assert terminal.ended() == 3
-        assert terminal.said.rstrip().endswith(
-            "softfin run: stopped, motor disabled: stopped by a key"
-        )
+        *_, summary, reason = terminal.said.rstrip().splitlines()
+        assert summary.startswith("a.mcap: ")
+        assert "s, error over the last 2 s (" in summary
+        assert reason == "softfin run: stopped, motor disabled: stopped by a key"
         assert "Traceback" not in terminal.said
         assert "Fatal" not in terminal.said
     still(elsewhere)

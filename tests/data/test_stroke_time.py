@@ -23,7 +23,12 @@ def _log(stroke_s: float | int, hold_s: float | int, strokes: int = 40, turn: fl
 
 @pytest.mark.parametrize("stroke_s", [0.1, 0.3, 0.7])
 def test_the_time_until_the_shaft_has_almost_arrived(stroke_s: float) -> None:
-    assert stroke_time([_log(stroke_s, 1.0)]) == pytest.approx(stroke_s, abs=0.02)
+    short = _log(stroke_s, 0.05, turn=0.2)
+    assert stroke_time([_log(stroke_s, 1.0), short]) == pytest.approx(stroke_s, abs=0.02)
+
+
+def test_commands_that_are_never_held_as_briefly_as_a_stroke_set_the_time() -> None:
+    assert stroke_time([_log(0.13, 0.35)]) == pytest.approx(0.35)
 
 
 def test_strokes_that_are_cut_short_count_as_long() -> None:

@@ -5,6 +5,7 @@ programs.
 """
 
 import dataclasses
+import reprlib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
@@ -136,9 +137,13 @@ class LoadedController:
         """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:
-            RunError: a measurement or the reference is not finite (not checked under JAX).
+            RunError: a measurement or the reference is not finite (not checked under JAX), or has a
+                different shape.
         """
-        angle, force = measured
+        try:
+            angle, force = measured
+        except (TypeError, ValueError):
+            raise self._malformed(measured, reference) from None
         ops = select_operations(angle, reference, state[0])
         if ops is not NUMPY:
             xp = ops.xp
@@ -146,7 +151,10 @@ class LoadedController:
             now = now.astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, action_to_command(self.limits, action)
-        inputs = (angle, *force, *reference)
+        try:
+            inputs = (angle, *force, *reference)
+        except TypeError:
+            raise self._malformed(measured, reference) from None
         # NaN fails the comparison as well.
         if not all(abs(number) <= MAX_MEASUREMENT for number in inputs):
             raise RunError(
@@ -161,6 +169,12 @@ class LoadedController:
         angle = ops.clip(command.angle, limits.angle_min, limits.angle_max)
         velocity = ops.clip(command.velocity, limits.velocity_min, limits.velocity_max)
         return state, Command(angle, velocity)
+
+    def _malformed(self, measured: object, reference: object) -> RunError:
+        return RunError(
+            f"{self.artifact.name}: measured = {reprlib.repr(measured)}, reference = "
+            f"{reprlib.repr(reference)}: must be (angle, (force_x, force_y)) and (x, y)"
+        )
 
     def check(self, reference: ForceVector) -> None:
         """Raise CoverageError if the reference [N] is outside every cell."""

@@ -32,7 +32,7 @@ CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, 
 """Step classes by kind of controller."""
 
 
-def load_controller(path: Path) -> LoadedController:
+def load_controller(path: str | Path) -> LoadedController:
     """Load the controller from a folder; raises ArtifactError if it is missing or damaged.
 
     If JAX is already imported, compiled functions can take the controller as an argument.

@@ -6,7 +6,7 @@ import re
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import pydantic
 import yaml
@@ -14,12 +14,29 @@ import yaml
 from softfin.core.errors import ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
 
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    # pydantic has no public name for it.
+    ModelMetaclass = type(pydantic.BaseModel)
+
 # Not typing.Self: the tests' run-time type check decorates functions individually and does not know
 # their class.
 Config = TypeVar("Config", bound="Configuration")
 
 
-class Configuration(pydantic.BaseModel):
+class _OneLineErrors(ModelMetaclass):
+    """Class of the configuration classes: a call raises ConfigurationError, in one line. Validation
+    within pydantic does not pass through here."""
+
+    def __call__(cls, *args: object, **values: object) -> Any:
+        try:
+            return super().__call__(*args, **values)
+        except pydantic.ValidationError as error:
+            raise ConfigurationError(f"{cls.__name__}: {_explain(cls, error, values)}") from error
+
+
+class Configuration(pydantic.BaseModel, metaclass=_OneLineErrors):
     """Base class of every stage's configuration: frozen, hashable and validated on construction.
     Unknown keys are errors."""
 
@@ -109,8 +126,13 @@ def configure(base: Config, given: Settings, **options: object) -> Config:
         base = given.apply(base)
     elif isinstance(given, Mapping):
         base = base.merged(given, "config")
-    elif given is not None:
+    elif isinstance(given, str | Path):
         base = base.merged(read_yaml(Path(given)), str(given))
+    elif given is not None:
+        raise ConfigurationError(
+            f"config: is of type {type(given).__name__}; use a {type(base).__name__}, a mapping or "
+            "a YAML file"
+        )
     changes = {name: value for name, value in options.items() if value is not None}
     return base.merged(changes, "options") if changes else base
 
@@ -171,9 +193,7 @@ def _merge(base: JsonObject, over: Mapping[str, object]) -> JsonObject:
     }
 
 
-def _explain(
-    cls: type[pydantic.BaseModel], error: pydantic.ValidationError, values: Mapping[str, object]
-) -> str:
+def _explain(cls: Any, error: pydantic.ValidationError, values: Mapping[str, object]) -> str:
     errors = error.errors(include_url=False)
     # A misspelled key also causes a missing one; the misspelled key is the better clue.
     first = min(errors, key=lambda each: each["type"] != "extra_forbidden")

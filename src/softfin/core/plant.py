@@ -5,6 +5,7 @@ A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on 
 change after it was made; `softfin.core.plant_identity` compares plants.
 """
 
+import reprlib
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
-from softfin.core.errors import CommandError
+from softfin.core.errors import CommandError, PlantError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
 # A clock may be part of a pytree, in which it has no leaves. It is registered here, because modules
@@ -49,7 +50,8 @@ class Plant(Protocol):
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after
-        each sample; fields have the shape ``(ticks,)``."""
+        each sample; fields have the shape ``(ticks,)``. To compile it, call it within a function
+        and pass that to `jax.jit`."""
 
 
 @runtime_checkable
@@ -106,9 +108,19 @@ class EnsemblePlant(Plant, Protocol):
         larger outside."""
 
 
+def check_key(key: PRNGKeyArray) -> None:
+    """Raise PlantError for a key that is not a JAX key, such as a number."""
+    if not isinstance(key, jax.Array):
+        raise PlantError(f"key = {reprlib.repr(key)}: must be a JAX key; use jax.random.key(0)")
+
+
 def check_commands(limits: Limits, commands: Command) -> None:
     """Raise CommandError for commands outside the limits. Traced values are not checked, because
     they are unknown; in a compiled program, a plant follows any command."""
+    if not isinstance(commands, Command):
+        raise CommandError(
+            f"command = {reprlib.repr(commands)}: must be softfin.Command(angle, velocity)"
+        )
     for name, unit, channel, low, high in (
         ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),

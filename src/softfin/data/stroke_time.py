@@ -1,4 +1,5 @@
-"""A fin's stroke time: how long its shaft takes to reach a new commanded angle."""
+"""A fin's stroke time: how long its shaft takes to reach a new commanded angle, as far as the logs
+show."""
 
 from collections.abc import Sequence
 
@@ -13,19 +14,26 @@ MIN_STROKE_RAD = 0.3
 accelerated."""
 MIN_STROKES = 10
 """Minimum number of strokes for a median."""
+SHORTEST_PERCENT = 1
+"""Percentile of the time between two commands that counts as the shortest: a few commands may
+follow each other by accident."""
 
 
 def stroke_time(logs: Sequence[Log]) -> float | None:
     """Return the median time from a new commanded angle until the shaft has covered 90% of the way
     [s]; None if the logs have fewer than 10 strokes, or if most of them were cut short.
 
-    A stroke that the next command cuts short counts as longer than any other.
+    A stroke that the next command cuts short counts as longer than any other. The time is at least
+    the shortest for which the logs hold a command, because a surrogate cannot predict the force of
+    faster strokes than it has seen.
     """
     times = []
+    holds: list[int] = []
     for log in logs:
         command = np.asarray(log.command.angle)
         angle = np.asarray(log.reading.angle)
         starts = np.flatnonzero(np.diff(command)) + 1
+        holds += np.diff(starts).tolist()
         for start, end in zip(starts, [*starts[1:], len(command)], strict=True):
             way = command[start] - angle[start]
             if abs(way) < MIN_STROKE_RAD:
@@ -35,4 +43,5 @@ def stroke_time(logs: Sequence[Log]) -> float | None:
     if len(times) < MIN_STROKES:
         return None
     median = float(np.median(times))
-    return round(median, 3) if np.isfinite(median) else None
+    shortest_s = TICK_S * float(np.percentile(holds, SHORTEST_PERCENT))
+    return round(max(median, shortest_s), 3) if np.isfinite(median) else None

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, TextIO
@@ -13,6 +14,12 @@ from softfin.rig.stop import StopRequest, discard_typed_ahead, listen_to_keyboar
 
 WORD = "move"
 """Word that the operator types to let the fin move."""
+
+SAVE_CURSOR = "\x1b7"
+RESTORE_CURSOR = "\x1b8"
+LINE_UP = "\x1b[A"
+ERASE_LINE = "\r\x1b[K"
+"""Control sequences of terminals (ECMA-48; those for the cursor are the VT100's)."""
 
 
 class Arming(NamedTuple):
@@ -106,12 +113,54 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
     """Yield the lines typed on the terminal. If they end or are not text, request an emergency
     stop, because no key can stop the fin any more."""
     with contextlib.suppress(OSError, ValueError):
-        yield from terminal
+        for line in terminal:
+            STATUS.release()
+            yield line
     stop.ask(
         "emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin"
     )
 
 
+class StatusLine:
+    """The state of a run on standard error, updated in place, above the line on which the operator
+    types. Where there is no terminal, each state is a line of its own."""
+
+    def __init__(self) -> None:
+        self._is_shown = False
+
+    def show(self, state: str, keys: str) -> None:
+        """Replace the state; `keys` says what the operator may type."""
+        if not sys.stderr.isatty():
+            self.say(state)
+            return
+        state = state[: shutil.get_terminal_size().columns - 1]
+        if self._is_shown:
+            sys.stderr.write(f"{SAVE_CURSOR}{LINE_UP}{ERASE_LINE}{state}{RESTORE_CURSOR}")
+        else:
+            sys.stderr.write(f"{state}\n{keys}")
+        sys.stderr.flush()
+        self._is_shown = True
+
+    def say(self, text: str) -> None:
+        """Print a line that stays; the next state is shown below it."""
+        self.clear()
+        sys.stderr.write(printable(text) + "\n")
+
+    def clear(self) -> None:
+        """Erase the line on which the operator types, if there is one; the last state stays."""
+        if self._is_shown:
+            sys.stderr.write(ERASE_LINE)
+        self.release()
+
+    def release(self) -> None:
+        """Show the next state on a new line, because the operator pressed Enter."""
+        self._is_shown = False
+
+
+STATUS = StatusLine()
+"""The only one, as there is only one terminal."""
+
+
 def say(text: str) -> None:
     """Print a line on the terminal."""
-    sys.stderr.write(printable(text) + "\n")
+    STATUS.say(text)

@@ -1,9 +1,10 @@
 """Let a controller drive a real fin: with live or recorded references, or as a ROS 2 node; no
 JAX."""
 
+import contextlib
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -12,7 +13,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.configuration import configure
-from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.errors import ConfigurationError, RigError, SafetyStop
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
     CONNECTION,
@@ -27,7 +28,7 @@ from softfin.core.option_types import (
 from softfin.core.quantities import RATE_HZ
 from softfin.core.result import Result
 from softfin.gaits.reachable import force_decimals
-from softfin.rig.arming import Arming, listen_on_terminal, say
+from softfin.rig.arming import STATUS, Arming, listen_on_terminal, say
 from softfin.rig.loop import (
     ActionResult,
     LiveReference,
@@ -44,6 +45,8 @@ from softfin.rig.stop import StopRequest
 from softfin.stages.machines import find_robot
 from softfin.storage import artifact as artifacts
 from softfin.storage.paths import check_reference_file
+
+STOP_KEY = "press Enter alone to stop the fin"
 
 
 class Drive(NamedTuple):
@@ -88,18 +91,24 @@ class Drive(NamedTuple):
         line: Callable[[str], None],
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
+        keys: str = STOP_KEY,
     ) -> Result:
         """Ask for confirmation, then move and record.
 
-        `line` is called with each line typed in the meantime. Returns the path of the recording and
-        the errors over its last window.
+        `line` is called with each line typed in the meantime; `keys` says what may be typed.
+        Returns the path of the recording and the errors over its last window. They are also printed
+        if the fin is stopped.
         """
         machine = self.robot.machine
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         training_range = self.controller.artifact.training_range
         guard = Guard(self.robot.safety, machine.limits, training_range)
         stop = stop or StopRequest()
-        with Session(machine, guard, stop=stop, observers=observers, warn=say) as session:
+        summary: JsonObject = {}
+        with (
+            _said_when_stopped(bag, summary),
+            Session(machine, guard, stop=stop, observers=observers, warn=say) as session,
+        ):
             self.arming.confirm(self.robot)
             if not any(training_range or ()):
                 say(
@@ -113,7 +122,7 @@ class Drive(NamedTuple):
             with session.recording(bag):
                 session.activate()
                 zero = session.rest(self.robot.settle_s)
-                summary = self._follow(session, references, zero)
+                self._follow(session, references, zero, summary, keys)
                 session.deactivate()
         result = {
             "bag": str(bag),
@@ -121,15 +130,18 @@ class Drive(NamedTuple):
             "clock": session.pace.to_dict(),
             "counters": machine.counters(),
         }
-        text = (
-            f"{bag}: {result['seconds']:.1f} s, error over the last {result['window_s']:g} s "
-            f"({result['error_x_n']}, {result['error_y_n']}) N"
-        )
-        return Result(result, text)
+        return Result(result, _described(bag, summary))
 
-    def _follow(self, session: Session, references: ReferenceSource, zero: Force) -> JsonObject:
-        """Run the controller and print one line per second; returns the errors over the last
-        window."""
+    def _follow(
+        self,
+        session: Session,
+        references: ReferenceSource,
+        zero: Force,
+        summary: JsonObject,
+        keys: str,
+    ) -> None:
+        """Run the controller and show its state every second; keeps the errors over the last window
+        in `summary`."""
         controller = DisturbanceObserver(self.controller) if self.trim else self.controller
         reachable = controller.reachable
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
@@ -152,20 +164,44 @@ class Drive(NamedTuple):
                     f"angle {result.samples[-1].angle:+.2f} rad"
                 )
                 try:
-                    say(line)
+                    STATUS.show(line, f"{keys}: ")
                 except OSError as error:
                     # The terminal was closed, or the program that reads the output has exited.
                     session.stop_request.ask(
                         "emergency_stop", f"nobody reads the output any more ({error.strerror})"
                     )
-        last = window[-1].reference
-        errors = [abs(mean - asked) for mean, asked in zip((x, y), last, strict=True)]
-        return {
-            "seconds": ticks / RATE_HZ,
-            "window_s": clock.window_ticks / RATE_HZ,
-            "error_x_n": round(errors[0], 4),
-            "error_y_n": round(errors[1], 4),
-        }
+            errors = [
+                abs(mean - asked) for mean, asked in zip((x, y), result.reference, strict=True)
+            ]
+            summary |= {
+                "seconds": ticks / RATE_HZ,
+                "window_s": clock.window_ticks / RATE_HZ,
+                "error_x_n": round(errors[0], 4),
+                "error_y_n": round(errors[1], 4),
+            }
+
+
+@contextlib.contextmanager
+def _said_when_stopped(bag: Path, summary: JsonObject) -> Iterator[None]:
+    """Print the summary if the fin is stopped after its first action."""
+    try:
+        yield
+    except SafetyStop:
+        # The reason of the stop matters more than a closed terminal.
+        with contextlib.suppress(OSError):
+            if summary:
+                say(_described(bag, summary))
+        raise
+    finally:
+        with contextlib.suppress(OSError):
+            STATUS.clear()
+
+
+def _described(bag: Path, summary: JsonObject) -> str:
+    return (
+        f"{bag}: {summary['seconds']:.1f} s, error over the last {summary['window_s']:g} s "
+        f"({summary['error_x_n']}, {summary['error_y_n']}) N"
+    )
 
 
 def run(
@@ -215,7 +251,8 @@ def run(
 
     if reference is not None:
         live = LiveReference(reference, resolve, say)
-        return drive.run(live, live.set_from_text)
+        keys = f"type X,Y for a new target, or {STOP_KEY}"
+        return drive.run(live, live.set_from_text, keys=keys)
     assert reference_file is not None, "checked above"
     # Imported here, because reading the file needs packages that a robot may lack.
     from softfin.task.signals import read_reference_file
@@ -223,7 +260,7 @@ def run(
     rows = read_reference_file(Path(reference_file))
     forces = [(float(x), float(y)) for x, y in rows.force_n]
     recorded = recorded_reference(rows.time_s, forces, resolve, say)
-    line = "references come from the file; press Enter alone to stop the fin"
+    line = f"references come from the file; {STOP_KEY}"
     return drive._replace(seconds=seconds or rows.seconds).run(recorded, lambda _: say(line))
 
 
@@ -300,7 +337,7 @@ def ros2(
         stop = StopRequest()
         result = drive.run(
             lambda _: node.reference() or otherwise,
-            lambda _: say("references come from the topic; press Enter alone to stop the fin"),
+            lambda _: say(f"references come from the topic; {STOP_KEY}"),
             stop,
             (functools.partial(node.observe, stop),),
         )

@@ -157,7 +157,9 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: flo
         parts.append(f"note: {caveat}")
     clock = ""
     if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
-        parts.append(f"strokes take {stroke_s:.2g} s: --clock auto means {fitting}")
+        parts.append(
+            f"actions of {stroke_s:.2g} s suit this fin and its logs: --clock auto means {fitting}"
+        )
         clock = " --clock auto"
     parts.append(
         f"{out}: {_verdict(written['scores'], opened, held_out)}\n"

@@ -48,7 +48,7 @@ def save_surrogate(
     artifacts.save(path, SURROGATE_KIND, description, weights, extra_files, overwrite)
 
 
-def load_surrogate(path: Path) -> SurrogatePlant:
+def load_surrogate(path: str | Path) -> SurrogatePlant:
     """Load the surrogate in a folder. If its model is ``package.module:ARCHITECTURE``, this module
     is imported from the current folder or an installed package.
 
@@ -56,6 +56,7 @@ def load_surrogate(path: Path) -> SurrogatePlant:
         ArtifactError: it is damaged, or has an unsupported rate, model or set of channels.
     """
     check_precision()
+    path = Path(path)
     description, weights = artifacts.load(path, SURROGATE_KIND)
     source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
-from softfin.core.plant import check_commands
+from softfin.core.plant import check_commands, check_key
 from softfin.core.quantities import TICK_S, Command, Limits, Reading
 from softfin.core.window import PAPER_WINDOW
 from softfin.tank.chain import PlanarVector, Scalar
@@ -95,6 +95,7 @@ class Tank(eqx.Module):
     def init(self, key: PRNGKeyArray) -> TankState:
         """Return the state of a fin at rest with a zeroed sensor; the key determines the sensor's
         drift and noise."""
+        check_key(key)
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(

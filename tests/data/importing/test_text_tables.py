@@ -106,6 +106,7 @@ SAME = {
     "UTF-16": DEGREES.encode("utf-16"),
     "UTF-16, big-endian": b"\xfe\xff" + DEGREES.encode("utf-16-be"),
     "UTF-16 without a mark": DEGREES.encode("utf-16-le"),
+    "UTF-16, big-endian without a mark": DEGREES.encode("utf-16-be"),
     "UTF-8 with a mark": DEGREES.encode("utf-8-sig"),
     "carriage returns": PLAIN.replace("\n", "\r"),
     "bars": PLAIN.replace(",", "|"),

@@ -90,9 +90,9 @@ MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
 """Rotations [degrees] that are equivalent to a frame, the latter after reversing y."""
 
 COUNTS_FIX = (
-    "convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts per "
-    "turn (360 degrees are usually 4,096 counts; XL-320 and AX: 300 degrees are 1,023 counts); "
-    "convert the velocities from the unit of the drive as well"
+    "for a Dynamixel of the X series (4,096 counts per turn), use --angles dynamixel; for another "
+    "drive, convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts "
+    "per turn (XL-320 and AX: 300 degrees are 1,023 counts), and the velocities as well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 

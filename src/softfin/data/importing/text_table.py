@@ -63,6 +63,8 @@ def read_text_table(path: Path, name: str) -> Table:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check the file") from None
     # After a byte order mark, if there is one, the header is ASCII.
     encoding = "utf-16" if 0 in data[:4] else "utf-8-sig"
+    if data.startswith(b"\0"):
+        encoding = "utf-16-be"
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Ticks, check_commands, rest_command
+from softfin.core.plant import Ticks, check_commands, check_key, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
@@ -72,6 +72,7 @@ class Surrogate(eqx.Module):
     def init(self, key: PRNGKeyArray) -> SurrogateState:
         """Return the state of a fin that has been at rest for a full window. The key is not
         used."""
+        check_key(key)
         command = rest_command(self.limits)
         rest = self._scaled(command)
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, command.angle))

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.compilation import jit
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import check_commands, rest_command
+from softfin.core.plant import check_commands, check_key, rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import (
     ANGLE,
@@ -100,6 +100,7 @@ class StreamingSurrogate(eqx.Module):
 
     def init(self, key: PRNGKeyArray) -> StreamingState:
         """Return the state after a long rest. The key is not used."""
+        check_key(key)
         return StreamingState(jnp.int32(0), self.rest)
 
     def warm(self, history: Log) -> StreamingState:
