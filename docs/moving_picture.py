@@ -11,10 +11,10 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image
+from tests.browser import Browser
 
 import softfin
 from softfin.stages.explore import explore
-from tests.browser import Browser
 
 EXAMPLE = Path(softfin.__file__).parent / "example"
 WIDTH = 600

@@ -57,28 +57,23 @@ def experiments_figure(
 
 
 def fin_figure(recording: ExperimentRecording) -> Figure:
-    """Draw the fin with its forces in the middle of the last window, at the largest reference and
-    the first seed. The shape is unknown, so the fin is drawn straight, one length long."""
-    reference = np.asarray(recording.reference)
-    sizes = np.linalg.norm(reference.reshape(len(reference), -1, 2)[:, -1], axis=1)
-    index = int(sizes.argmax())
+    """Draw the fin with its forces at the end of the first experiment, and its stroke in grey. The
+    shape is unknown, so the fin is drawn straight, one length long."""
     window = recording.clock.window_ticks
-    angle = np.asarray(recording.reading.angle[index, 0, -window:])
-    force = np.asarray(recording.force[index, 0, -window:])
-    target = reference[index].reshape(-1, 2)[-1]
-    forces = np.stack([force[window // 2], force.mean(axis=0), target])
-    tips = np.stack([-np.cos(angle), np.sin(angle)], axis=1)
-    x, y = target
+    angle = np.asarray(recording.reading.angle[0, 0, -window:])
+    force = np.asarray(recording.force[0, 0, -window:])
+    target = np.reshape(recording.reference[0], (-1, 2))[-1]
+    tips = np.stack([-np.cos(angle), np.sin(angle)], axis=1)[:: -window // 10]
+    stroke = np.stack([0 * tips, tips])
+    forces = np.stack([force[-1], force.mean(axis=0), target])
     with styled():
         figure = new_figure(3.5, 3.4)
         axes = figure.subplots()
-        for tip in tips[:: max(1, window // 10)]:
-            axes.plot(*np.stack([0 * tip, tip]).T, color=GREY, alpha=0.2, linewidth=7)
-        shape = np.stack([np.zeros(2), tips[window // 2]])
-        draw_fin(axes, shape, forces, scale_n=float(np.linalg.norm(forces, axis=1).max()))
-        axes.set(xticks=[], yticks=[], xlabel="x: thrust", ylabel="y: side force")
-        axes.set_title(with_minus_signs(f"target force ({x:g}, {y:g}) N"), weight="bold")
-        axes.legend(loc="lower right")
+        axes.plot(stroke[..., 0], stroke[..., 1], color=GREY, alpha=0.2, linewidth=7)
+        draw_fin(axes, stroke[:, 0], forces, scale_n=float(np.abs(forces).max()))
+        axes.axis("off")
+        axes.set_title(with_minus_signs("target force ({:g}, {:g}) N".format(*target)))
+        add_legend(figure, [axes], "outside lower center")
     return figure
 
 

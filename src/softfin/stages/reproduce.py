@@ -463,8 +463,7 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
                 moving[f"{caption}, {file.stem}"] = file
     fin = {}
     if best := headline(results):
-        caption = f"The fin under the {best.controller} controller, with its stroke in grey"
-        fin[caption] = shown / best.controller / "fin.png"
+        fin["Fin under the best controller; grey: its stroke"] = shown / best.controller / "fin.png"
     sections = {
         "fin": fin,
         "surrogate": prediction,
