@@ -205,7 +205,9 @@ def python() -> Iterator[str]:
     for name in ("softfin.testing", "softfin.gym"):
         module = importlib.import_module(name)
         yield from (f"## {name}", "", *_text(module))
-        for member, value in vars(module).items():
+        # Names that are imported on first use are in dir() from the start.
+        for member in dir(module):
+            value = getattr(module, member)
             is_own = getattr(value, "__module__", "").startswith(name)
             if is_own and callable(value) and not member.startswith("_"):
                 yield from _documented(f"{name}.{member}", value)

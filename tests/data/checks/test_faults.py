@@ -191,3 +191,65 @@ def test_millinewtons_or_kilonewtons_show_in_the_size_of_a_fin(factor):
     for name in FORCES:
         times(name, factor)(columns)
     assert "--force-unit" in found(columns)["force size"].fix
+
+
+@pytest.mark.parametrize("fin", ["tank", "hand", "vehicle"])
+def test_an_angle_is_compared_with_its_command_at_rest(fin):
+    def turn(log: Columns) -> None:
+        log["angle_rad"] = log["angle_rad"] + np.radians(15)
+
+    issue = found(faulty(turn, fin))["rest angle"]
+    assert issue.message == "at rest, the angle is +15 degrees from its command"
+    issue = found(faulty(times("command_angle_rad", np.pi / 180), fin))["rest angle"]
+    assert "57" in issue.message
+
+
+def test_a_frozen_command_is_stuck():
+    def freeze(log: Columns) -> None:
+        log["command_angle_rad"][1000:3000] = log["command_angle_rad"][1000]
+
+    assert found(faulty(freeze))["stuck"].column == "command_angle"
+
+
+def test_a_force_clock_that_runs_fast_gets_no_lag():
+    def fast(log: Columns) -> None:
+        rows = np.arange(len(log["angle_rad"]))
+        for name in FORCES:
+            log[name] = np.interp(0.998 * rows, rows, log[name])
+
+    issues = found(faulty(fast))
+    assert issues["changing lag"].severity == "error"
+    assert "force lag" not in issues
+
+
+def test_axes_with_different_lags_are_told():
+    def of_y(log: Columns) -> None:
+        log["force_y_n"] = np.roll(log["force_y_n"], 15)
+
+    issues = found(faulty(of_y))
+    assert "20 ms, and force_y by 170 ms" in issues["force clock"].message
+    assert "force lag" not in issues
+
+
+def test_a_force_in_the_frame_of_a_reversed_shaft_gets_its_formula():
+    def turn(log: Columns) -> None:
+        force = (log["force_x_n"] + 1j * log["force_y_n"]) * np.exp(-1j * log["angle_rad"])
+        log["force_x_n"] = force.real
+        log["force_y_n"] = force.imag
+
+    assert "x cos(a) - y sin(a), y cos(a) + x sin(a)" in found(faulty(turn))["shaft frame"].fix
+
+
+def test_drift_is_found_in_a_short_log():
+    columns = to_columns(cut(tank_logs(1, "tank")[0], 1000, 2500))
+    columns["force_x_n"] = columns["force_x_n"] + np.linspace(0, 8, 1500)
+    assert found(columns)["force drift"].column == "force_x"
+
+
+def test_degrees_that_are_radians_are_told():
+    def shrink(log: Columns) -> None:
+        for name in ("angle_rad", "command_angle_rad", "velocity_rad_s", "command_velocity_rad_s"):
+            log[name] = np.radians(log[name])
+
+    config = ImportConfig(angles=dict.fromkeys(("angle", "command_angle"), "deg"))
+    assert found(faulty(shrink), config=config)["radians"].fix == "--angles rad"

@@ -39,6 +39,14 @@ WINDOW_TICKS = 600
 RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 """Ticks around a command step in which its response is searched."""
 
+MIN_FOLLOWING = 0.6
+"""Lowest correlation between the angle and its command at which their lag is known; good logs have
+0.75 and more."""
+
+MAX_LAG_CHANGE_TICKS = 3
+"""Largest plausible difference between the lags of a log's first and last third, or of its forces
+[10 ms]; good logs have 0 or 1."""
+
 FOLLOWING_TICKS = 15
 """Delay after which the angle is compared with its command [10 ms]."""
 
@@ -82,7 +90,10 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
         return None
     low, high = response[below[-1] : below[-1] + 2]
     lag_ticks = RESPONSE_TICKS[below[-1]] + (onset - low) / (high - low)
-    return float(lag_ticks * TICK_S * 1e3)
+    # The drive needs another 120 ms for most of a move.
+    delay = max(1, round(lag_ticks) + 12)
+    following = np.corrcoef(command[:-delay], angle[delay:])[0, 1]
+    return float(lag_ticks * TICK_S * 1e3) if abs(following) > MIN_FOLLOWING else None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -99,15 +110,17 @@ class ForceLag:
     """Share that the motion explains at that lag."""
     late_force_s: Sequence[float] = ()
     """Starts of the windows of 6 s in which the force has another lag than in most [s]."""
+    axis_lags_ms: tuple[float, float] | None = None
+    """Lags of the forces along x and y, if they differ [ms]."""
 
 
 def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
     """Find the lag at which a linear model of the motion best explains the force, regardless of its
     axes.
 
-    The lag is unknown if it changes, if it is at the edge of 0.2 s, if a lag beyond explains 10%
-    more of the force's variance, or if the motion explains less than 30%; in the published
-    networks' logs it explains at least 45%.
+    The lag is unknown if it changes or differs between the axes, if it is at the edge of 0.2 s, if
+    a lag beyond explains 10% more of the force's variance, or if the motion explains less than 30%;
+    in the published networks' logs it explains at least 45%.
     """
     ticks = min(FAR_TICKS, len(angle) // 4)
     shares = explained_shares(angle, force, ticks)
@@ -116,9 +129,14 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
     near = shares[is_near]
     best = int(near.argmax())
     late = find_late_windows(angle, force)
+    of_axes = [
+        explained_shares(angle, axis + 0j, SEARCHED_TICKS) for axis in (force.real, force.imag)
+    ]
+    x, y = [int(own.argmax()) for own in of_axes]
+    is_apart = abs(x - y) > MAX_LAG_CHANGE_TICKS and min(own.max() for own in of_axes) > 0.5
     lag_ms = None
     is_known = 0 < best < 2 * SEARCHED_TICKS and near[best] >= max(0.3, far.max() - 0.1)
-    if is_known and not late:
+    if is_known and not late and not is_apart:
         # Vertex of the parabola through the best lag and its two neighbours.
         left, middle, right = near[best - 1 : best + 2]
         lag_ticks = best - SEARCHED_TICKS + (left - right) / 2 / (left - 2 * middle + right)
@@ -129,6 +147,9 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
         far_lag_ms=(int(far.argmax()) - ticks) * TICK_S * 1e3,
         far_share=float(far.max()),
         late_force_s=late,
+        axis_lags_ms=(10.0 * (x - SEARCHED_TICKS), 10.0 * (y - SEARCHED_TICKS))
+        if is_apart
+        else None,
     )
 
 
@@ -162,15 +183,21 @@ def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[float]:
     than in most.
 
     There, the own lag explains nearly as much of the variance as in most windows, and at least 12%
-    more than a lag within 40 ms of the usual lag; in good logs, up to 10% more.
+    more than a lag within 40 ms of the usual lag; in good logs, up to 10% more. If the lag drifts,
+    these are the windows of the last third.
     """
     starts = np.arange(0, len(angle) - WINDOW_TICKS + 1, WINDOW_TICKS // 2)
     windows = [slice(start, start + WINDOW_TICKS) for start in starts]
     shares = np.stack([explained_shares(angle[rows], force[rows], 60) for rows in windows])
-    usual = int(np.median(shares.argmax(axis=1)))
+    lags = shares.argmax(axis=1)
+    usual = int(np.median(lags))
     at_usual = shares[:, max(usual - 4, 0) : usual + 5].max(axis=1)
     own = shares.max(axis=1)
     is_late = (own > at_usual + 0.12) & (own > 0.8 * np.median(own))
+    third = len(lags) // 3
+    if third >= 2:
+        change = np.median(lags[-third:]) - np.median(lags[:third])
+        is_late[-third:] |= abs(change) >= MAX_LAG_CHANGE_TICKS and np.median(own) > 0.5
     late: list[float] = (starts[is_late] * TICK_S).tolist()
     return late
 

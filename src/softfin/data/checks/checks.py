@@ -57,6 +57,9 @@ MIN_FRAME_CORRELATION = 0.2
 """Lowest plausible correlation between the force and a model fin in the best axes; the noisiest of
 the published networks' logs has 0.31."""
 
+MIN_REACH_RAD = 0.06
+"""Range of an angle in degrees below which it must be in radians [rad]."""
+
 MIN_TURN_DEG = 15
 """Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
 turned by up to 10 degrees."""
@@ -173,6 +176,10 @@ def check_counts(log: CheckedLog) -> Iterator[Issue]:
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Find angles in degrees that were read as radians."""
     wrong = channels_in_degrees(log.raw, log.config.velocity_rad_s is not None)
+    reach = float(np.ptp(log.raw.angle))
+    if log.config.angles.get("angle") == "deg" and reach < MIN_REACH_RAD:
+        message = f"the angle ranges over {reach:.2g} rad: these look like rad, not degrees"
+        yield log.issue("error", "radians", "angle", message, "--angles rad")
     if not wrong:
         return
     ranges = []
@@ -427,7 +434,7 @@ def check_rest(log: CheckedLog) -> Iterator[Issue]:
     at_rest = is_held & (np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S)
     command = columns.command_angle[at_rest]
     angle = columns.angle[at_rest]
-    if len(angle) < RATE_HZ or np.ptp(command) < 0.05 or abs(log.statistics.following) < 0.3:
+    if len(angle) < RATE_HZ or np.ptp(command) < 1e-3 or abs(log.statistics.following) < 0.3:
         return
     # A blocked drive is at rest, too, so the median counts and not the mean.
     offset = np.degrees(np.median(angle - command))
@@ -547,6 +554,10 @@ def check_force_clock(log: CheckedLog) -> Iterator[Issue]:
             f"no lag within 0.2 s explains the force: {found.force_share:.0%} of its variance, "
             f"and {found.far_share:.0%} at {found.far_lag_ms / 1e3:.1f} s"
         )
+        yield log.issue("error", "force clock", "force_x, force_y", message, fix)
+    elif found.axis_lags_ms is not None:
+        x, y = found.axis_lags_ms
+        message = f"force_x lags the angle by {x:.0f} ms, and force_y by {y:.0f} ms"
         yield log.issue("error", "force clock", "force_x, force_y", message, fix)
     elif found.late_force_s:
         starts = ", ".join(f"{start:.0f}" for start in found.late_force_s)
