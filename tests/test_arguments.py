@@ -26,6 +26,8 @@ calls = {
     "config": lambda: softfin.map_forces("tank", out="m", config=[1]),
     "misspelt": lambda: softfin.CollectConfig(log=3),
     "misspelt within": lambda: softfin.TankConfig(sensor={"noise": 1}),
+    "existing output": lambda: softfin.write_example("example"),
+    "page of a wrong kind": lambda: softfin.explore("example/single", out="a.pdf"),
     "flat measurement": lambda: controller.act(controller.init(), (0.0, 0.0), (1.0, 0.0)),
     "no measurement": lambda: controller.act(controller.init(), None, (1.0, 0.0)),
     "one number": lambda: controller.act(controller.init(), measured, 3.0),
@@ -54,6 +56,8 @@ EXPECTED = {
     "config": ("ConfigurationError", "use a MapConfig"),
     "misspelt": ("ConfigurationError", "did you mean 'logs'"),
     "misspelt within": ("ConfigurationError", "did you mean 'noise_n'"),
+    "existing output": ("ArtifactError", "use overwrite=True to replace it"),
+    "page of a wrong kind": ("ConfigurationError", "out a.pdf: must end in .html"),
     "flat measurement": ("RunError", "(angle, (force_x, force_y))"),
     "no measurement": ("RunError", "(angle, (force_x, force_y))"),
     "one number": ("RunError", "(angle, (force_x, force_y))"),
@@ -83,3 +87,4 @@ def test_a_wrong_argument_is_an_error_of_one_line(call, errors):
     assert kind == expected_kind
     assert part in text
     assert "\n" not in text
+    assert "--" not in text

@@ -382,3 +382,17 @@ def code(folder: Path) -> Iterator[Path]:
         ("src", "tests", "docs", "examples", "benchmarks", "studies") if folder == ROOT else (".",)
     )
     return (path for top in tops for path in (folder / top).rglob("*.py"))
+
+
+def test_the_moving_picture_of_the_readme_is_small_and_lasts_six_seconds():
+    path = ROOT / "docs" / "fin.webp"
+    assert path.stat().st_size < 600_000
+    with Image.open(path) as picture:
+        num_frames = picture.n_frames
+        durations_ms = []
+        for index in range(num_frames):
+            picture.seek(index)
+            picture.load()
+            durations_ms.append(picture.info["duration"])
+    assert sum(durations_ms) == 6_000
+    assert (ROOT / "README.md").read_text().splitlines()[2].startswith('<img src="docs/fin.webp"')

@@ -58,7 +58,10 @@ SLIPS: list[tuple[list[str], str]] = [
         ["collect", *OUT, "--excitation.box", "1", "2"],
         '2: unexpected argument; for several values, use --excitation.box "[1, 2]"',
     ),
-    (["demo", "more"], "more: unexpected argument; --help "),
+    (["demo", "more"], "more: unexpected argument; did you mean --out more?"),
+    (["collect", "rig", *OUT], "rig: unexpected argument; did you mean --plant rig?"),
+    (["rig", "check", "my.yaml"], "my.yaml: unexpected argument; did you mean --rig my.yaml?"),
+    (["doctor", "more"], "more: unexpected argument; --help "),
     (
         ["inspect", "nowhere"],
         "nowhere: no such file or folder; use a CSV file, a Parquet file, a ROS 2 bag",

@@ -35,6 +35,20 @@ def test_results_are_shown_without_escapes_and_in_lines(capsys):
     assert capsys.readouterr().out == f"{ESCAPED}: well\nsecond line\n"
 
 
+def test_results_fit_on_a_terminal_and_their_commands_can_be_copied(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "30")
+    command = f"next: softfin train surrogate --out {'x' * 30}"
+    text = f"  {'five ' * 12}\n\n{command}"
+    print_result(text, as_json=False)
+    assert capsys.readouterr().out == f"{text}\n"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    print_result(text, as_json=False)
+    *wrapped, empty, last = capsys.readouterr().out.splitlines()
+    assert (empty, last) == ("", command)
+    assert len(wrapped) == 3
+    assert all(line.startswith("  ") and len(line) <= 30 for line in wrapped)
+
+
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_progress_shows_neither_escapes_nor_markup(capsys, monkeypatch, is_terminal):
     monkeypatch.setattr(

@@ -177,6 +177,12 @@ def test_zeroing_the_force_needs_no_arm(file, capsys):
         "force_after_n",
         "noise_n",
     }
+    main(["rig", "zero", "--rig", file, "--arm", "--yes"])
+    text = capsys.readouterr().out
+    assert text.startswith("angle before: ")
+    assert "force at rest now: " in text
+    assert "_" not in text
+    assert "-0.000" not in text
 
 
 @pytest.mark.real_time

@@ -86,6 +86,7 @@ def test_the_folder_holds_scores_conditions_and_figures(evaluation, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "evaluation.json",
         "experiments.png",
+        "fin.png",
     ]
     written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert written == summary

@@ -9,7 +9,7 @@ import pytest
 from softfin.core.window import interval
 from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.evaluation.experiment import ExperimentRecording
-from softfin.evaluation.figures import experiments_figure
+from softfin.evaluation.figures import experiments_figure, fin_figure
 from softfin.evaluation.headline import headline, over_seeds
 from softfin.evaluation.paper import PAPER_TABLE_II
 from softfin.evaluation.report import prediction_figure, write_report
@@ -101,7 +101,9 @@ def page(results, evaluation, tmp_path_factory) -> Page:
     save_figure(curves, folder / "learning.png")
     save_figure(trajectory, folder / "single.png")
     single = folder / "single.png"
+    save_figure(fin_figure(evaluation.recording), folder / "fin.png")
     figures = {
+        "fin": {"The fin": folder / "fin.png"},
         "surrogate": {"Prediction": folder / "prediction.png"},
         "learning": {"Learning": folder / "learning.png"},
         "experiment": {"Single": single, "Single again": single},
@@ -123,9 +125,14 @@ def test_ids_are_unique_over_the_whole_page(page):
 
 
 def test_every_figure_is_there(page):
-    assert page.tags.count("img") == len(page.fetched) == 4
-    for caption in ("Prediction", "Learning", "Single", "Single again"):
+    assert page.tags.count("img") == len(page.fetched) == 5
+    for caption in ("The fin", "Prediction", "Learning", "Single", "Single again"):
         assert caption in page.words
+
+
+def test_the_fin_is_beside_the_headline(page):
+    headline = page.html[page.html.index('id="headline"') :]
+    assert "The fin" in headline[: headline.index("</section>")]
 
 
 def test_table_one_has_each_net_in_both_units(page):

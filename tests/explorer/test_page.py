@@ -1,4 +1,4 @@
-"""The page is one file that fetches nothing, and a hand or the keyboard moves what is asked for."""
+"""The page is one file that fetches nothing, and a hand or the keyboard moves the target."""
 
 import importlib.resources
 import re
@@ -211,6 +211,8 @@ def test_the_target_beyond_reach_is_the_nearest_force_in_reach(opened):
     opened.mouse("mouseReleased", *middle(opened, (2, 2.3)))
     np.testing.assert_allclose(asked(opened), (2, 1.5), atol=0.03)
     wish = opened.run("[chosen.x, chosen.y]")
+    boxes = [float(opened.run(f"element('{name}').value")) for name in "xy"]
+    np.testing.assert_allclose(boxes, asked(opened), atol=0.005)
     assert opened.run("draw() || element('status').textContent").startswith(
         f"{force_text(wish)} N is out of reach; the ring is at the nearest force in reach. Target "
         f"{force_text(asked(opened))} N"
@@ -220,6 +222,51 @@ def test_the_target_beyond_reach_is_the_nearest_force_in_reach(opened):
     for controller, near in ((1, False), (0, True)):
         opened.run(f"choose({{ controller: {controller} }})")
         assert np.allclose(asked(opened), (3.2, 1.3)) == near
+
+
+def test_a_box_with_the_cursor_in_it_shows_the_nearest_force_in_reach_too(opened):
+    opened.run(
+        "element('y').focus(); element('y').value = '9'; "
+        "element('y').dispatchEvent(new Event('change'))"
+    )
+    assert float(opened.run("element('y').value")) == pytest.approx(asked(opened)[1], abs=0.005)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1300, 800), (400, 800)])
+@pytest.mark.parametrize("angle_rad", [-1.5, -0.7, 0.0, 0.7, 1.5])
+def test_the_fin_stays_in_the_picture_at_every_angle(
+    browser, page_by_hand, width, height, angle_rad
+):
+    browser.resize(width, height)
+    browser.open(page_by_hand, f"#paused=1&angle={angle_rad}&stroke=0.3&velocity=3")
+    browser.frames(2)
+    browser.run(
+        "window.edges = []; const drawn = drawFin; drawFin = (pen, points, thickness) => { "
+        "points.forEach(([x, y], i) => edges.push([x - thickness[i] / 2, x + thickness[i] / 2, "
+        "y - thickness[i] / 2, y + thickness[i] / 2])); drawn(pen, points, thickness); }"
+    )
+    browser.run("for (let k = 0; k < 60; k++) { run(5); draw(); }")
+    edges = np.array(browser.run("edges"))
+    assert edges.min() >= 0
+    size = browser.run("[water.clientWidth, water.clientHeight]")
+    assert np.all(edges[:, [1, 3]].max(axis=0) <= size)
+
+
+def test_no_mean_over_the_window_is_shown_before_the_window_is_full(opened):
+    opened.run("run(199); draw()")
+    assert not np.isfinite(np.array(opened.run("loop.mean()"), float)).any()
+    assert opened.run("element('mean-x').textContent") == "\u2013"
+    opened.run("run(1); draw()")
+    assert opened.run("element('mean-x').textContent") != "\u2013"
+    assert np.isfinite(opened.run("loop.history.at(-1).mean")).all()
+
+
+def test_the_main_table_has_plain_labels_and_force_feedback_one_name(page):
+    html = page.read_text()
+    table = html[html.index("<table>") : html.index("</table>")]
+    assert "Sobolev" not in table
+    assert "distance to" not in table
+    assert not re.search(r">[^<]*\bTrim\b", html[: html.index("<script")])
 
 
 def test_a_finger_drags_on_a_phone_and_nothing_is_cut_off(opened):

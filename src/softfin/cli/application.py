@@ -110,7 +110,7 @@ def parse(
         )
         raise ConfigurationError(_explain_missing(error, usage, options, changes)) from None
     except UnusedCliTokensError as error:
-        raise ConfigurationError(_explain_unused(error, words, changes)) from None
+        raise ConfigurationError(_explain_unused(error, words, changes, function)) from None
     except CycloptsError as error:
         raise ConfigurationError(_explain(error)) from None
     given = dict(bound.kwargs)
@@ -188,14 +188,22 @@ def _explain_missing(
 
 
 def _explain_unused(
-    error: UnusedCliTokensError, words: Sequence[str], changes: Mapping[str, str]
+    error: UnusedCliTokensError,
+    words: Sequence[str],
+    changes: Mapping[str, str],
+    function: Callable[..., object],
 ) -> str:
     """Return one line that names the first superfluous word."""
     token = str(error.unused_tokens[0])  # type: ignore[index]
     place = words.index(token)
     option = words[place - 2] if place > 1 else ""
     if option not in changes:
-        return f"{token}: unexpected argument; --help lists the arguments and options"
+        hint = "--help lists the arguments and options"
+        parameters = [*inspect.signature(function).parameters.values()]
+        # A command without arguments begins with the option for what it works on.
+        if parameters and parameters[0].kind is inspect.Parameter.KEYWORD_ONLY:
+            hint = f"did you mean --{option_name(parameters[0].name)} {token}? {hint}"
+        return f"{token}: unexpected argument; {hint}"
     values = f"[{words[place - 1]}, {token}]"
     return f'{token}: unexpected argument; for several values, use {option} "{values}"'
 

@@ -1,6 +1,8 @@
 """Prints the output of commands: results on standard output, progress on standard error."""
 
+import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +27,24 @@ def print_result(result: object, as_json: bool) -> None:
     elif as_json:
         sys.stdout.write(artifacts.dump_json(result))
     elif result is not None:
-        sys.stdout.write(printable(str(result).rstrip("\n"), "\n") + "\n")
+        _print_text(printable(str(result).rstrip("\n"), "\n"))
+
+
+def _print_text(text: str) -> None:
+    """Print lines, on a terminal no wider than it. Lines with a command stay whole, so that it can
+    be copied."""
+    width = shutil.get_terminal_size().columns
+    for line in text.split("\n"):
+        shown = line
+        if sys.stdout.isatty() and "softfin " not in line:
+            shown = textwrap.fill(
+                line,
+                width,
+                subsequent_indent="  ",
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        sys.stdout.write(f"{shown}\n")
 
 
 def _print_items(items: Iterator[object], as_json: bool) -> None:
@@ -34,7 +53,7 @@ def _print_items(items: Iterator[object], as_json: bool) -> None:
         for item in items:
             found.append(item._asdict() if hasattr(item, "_asdict") else item)
             if not as_json:
-                sys.stdout.write(printable(str(item)) + "\n")
+                _print_text(printable(str(item)))
                 sys.stdout.flush()
     finally:
         # Also if the last item is followed by an error.

@@ -3,17 +3,25 @@
 import functools
 import inspect
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, SoftfinError
 
 
 def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a function so that it raises ConfigurationError for an argument that it does not
-    have, or for something else instead of a path."""
+    have, or for something else instead of a path. Other errors name parameters, not options."""
     signature = inspect.signature(function)
+
+    def parameter(option: re.Match[str]) -> str:
+        name = option[1].replace("-", "_")
+        if name not in signature.parameters:
+            return option[0]
+        is_flag = isinstance(signature.parameters[name].default, bool)
+        return f"{name}=True" if is_flag else name
 
     @functools.wraps(function)
     def checked(*args: object, **options: object) -> Any:
@@ -34,6 +42,13 @@ def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
                         f"{where}: {name}: is of type {type(path).__name__}; use the path of a "
                         "file or folder"
                     )
-        return function(*args, **options)
+        try:
+            return function(*args, **options)
+        except SoftfinError as error:
+            text = str(error)
+            # A command to type keeps its options.
+            if "softfin " not in text:
+                error.args = (re.sub("--([a-z][a-z-]*)", parameter, text),)
+            raise
 
     return checked

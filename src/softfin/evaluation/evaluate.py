@@ -347,7 +347,7 @@ def write_evaluation(
     docs/files.md explains the keys.
     """
     # Matplotlib, which takes a second, is only imported to draw.
-    from softfin.evaluation.figures import experiments_figure, moving_figure
+    from softfin.evaluation.figures import experiments_figure, fin_figure, moving_figure
     from softfin.storage.figures import save_figure
 
     summary = evaluation.summary()
@@ -359,6 +359,7 @@ def write_evaluation(
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "evaluation", summary)
         save_figure(experiments_figure(evaluation.recording), folder / "experiments.png")
+        save_figure(fin_figure(evaluation.recording), folder / "fin.png")
         for moving in evaluation.moving:
             save_figure(moving_figure(moving), folder / f"{moving.plan.name}.png")
 

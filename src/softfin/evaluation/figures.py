@@ -14,9 +14,10 @@ from matplotlib.projections.polar import PolarAxes
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.fin_figure import draw_fin
 from softfin.evaluation.headline import settling_time
 from softfin.evaluation.moving_references import MovingScores
-from softfin.storage.figures import BLACK, BLUE, ORANGE, new_figure, styled, with_minus_signs
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
@@ -52,6 +53,27 @@ def experiments_figure(
                 axes.set(ylabel=f"force {axis} [N]", ylim=ylim)
             forces[1].set(xlabel="time [s]", xlim=(0, len(shown[index]) / RATE_HZ))
         add_legend(figure, figure.get_axes()[1:2], "outside lower center")
+    return figure
+
+
+def fin_figure(recording: ExperimentRecording) -> Figure:
+    """Draw the fin with its forces at the end of the first experiment, and its stroke in grey. The
+    shape is unknown, so the fin is drawn straight, one length long."""
+    window = recording.clock.window_ticks
+    angle = np.asarray(recording.reading.angle[0, 0, -window:])
+    force = np.asarray(recording.force[0, 0, -window:])
+    target = np.reshape(recording.reference[0], (-1, 2))[-1]
+    tips = np.stack([-np.cos(angle), np.sin(angle)], axis=1)[:: -window // 10]
+    stroke = np.stack([0 * tips, tips])
+    forces = np.stack([force[-1], force.mean(axis=0), target])
+    with styled():
+        figure = new_figure(3.5, 3.4)
+        axes = figure.subplots()
+        axes.plot(stroke[..., 0], stroke[..., 1], color=GREY, alpha=0.2, linewidth=7)
+        draw_fin(axes, stroke[:, 0], forces, scale_n=float(np.abs(forces).max()))
+        axes.axis("off")
+        axes.set_title(with_minus_signs("target force ({:g}, {:g}) N".format(*target)))
+        add_legend(figure, [axes], "outside lower center")
     return figure
 
 

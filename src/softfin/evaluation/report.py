@@ -31,7 +31,7 @@ from softfin.storage.figures import (
 Figures = Mapping[str, Path]
 """Files (.png) by caption."""
 
-PARTS = ("surrogate", "learning", "experiment", "moving")
+PARTS = ("fin", "surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
 
 

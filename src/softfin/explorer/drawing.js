@@ -9,7 +9,7 @@ const BY_HAND = [[-1, -3], [4.5, 3]];
 /* A round number, without the digits that floating-point arithmetic adds. */
 const short = (value) => Number(value.toPrecision(2));
 
-/* The part of the plane that is shown [N], with room about all that can be asked for. */
+/* The part of the plane that is shown [N], with room about all targets. */
 function planeRange(controllers) {
   const points = controllers.flatMap((each) => [...each.cells.flatMap((cell) => [cell.low, cell.high]), ...(each.reachable ? new Reachable(each.reachable).corners : [])]);
   if (points.length === 0) points.push(...BY_HAND.map((corner) => corner.map((force) => force * finSize)));
@@ -82,7 +82,7 @@ function drawPlane(canvas, range, loop, predicted) {
   drawAsked(pen, place(loop.target()));
   if (controller.observer !== null && controller.tracked !== null) drawTracked(pen, place(controller.tracked));
   if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted);
-  if (loop.time > 0) drawMean(pen, place(loop.averages[loop.plant].mean()));
+  drawMean(pen, place(loop.mean()));
   pen.restore();
   drawPlaneAxes(pen, scale, axes);
 }
@@ -122,7 +122,7 @@ function drawMean(pen, [x, y]) {
   pen.stroke();
 }
 
-/* What is asked for: a ring with a cross hair, which can be told from the dot without its colour. */
+/* The target: a ring with a cross hair, which differs from the dot in shape as well as colour. */
 function drawAsked(pen, [x, y]) {
   for (const [colour, width] of [[colours.page, 6], [colours.asked, 3]]) {
     pen.strokeStyle = colour;

@@ -75,13 +75,18 @@ class Loop {
     const reading = this.readings[this.plant], force = reading.force;
     this.sum = this.sum.map((value, axis) => value + force[axis]);
     const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;
-    this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.averages[this.plant].mean(), reference: this.target(), shape });
+    this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.mean(), reference: this.target(), shape });
     if (this.history.length > KEPT) this.history.splice(0, this.history.length - KEPT);
     return reading;
   }
 
+  /* Mean force over the window [N]; NaN before the first window is full, which a canvas does not draw. */
+  mean() {
+    return this.time < WINDOW ? [NaN, NaN] : this.averages[this.plant].mean();
+  }
+
   /* |moving average - reference| on either axis [N]. */
   error() {
-    return this.averages[this.plant].mean().map((value, axis) => Math.abs(value - this.reference[axis]));
+    return this.mean().map((value, axis) => Math.abs(value - this.reference[axis]));
   }
 }

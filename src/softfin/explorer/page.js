@@ -25,7 +25,7 @@ const SLIDERS = {
 
 let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
 
-/* How the force does since something was asked for or changed: when the error came within the limit, and its sum. */
+/* How the force does since the target or a condition changed: when the error came within the limit, and its sum. */
 let watched = null;
 function watch(what) {
   watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
@@ -51,7 +51,7 @@ function apply() {
     if (plant instanceof Tank) [plant.stiffness, plant.cold] = [Number(chosen.fin), chosen.cold];
   }
   const conditions = [chosen.controller, chosen.plant, chosen.trim, chosen.fin, chosen.cold].join();
-  if (conditions !== applied) watch(applied ? "the change" : "it was asked for");
+  if (conditions !== applied) watch(applied ? "the change" : "the target was set");
   applied = conditions;
   if (!byHand()) ask();
   document.body.classList.toggle("by-hand", byHand());
@@ -118,9 +118,9 @@ function readAddress(address) {
 function ask() {
   [chosen.x, chosen.y] = [chosen.x, chosen.y].map(hundredths);
   const { cells, reachable } = loop.controller, reference = nearestReference(cells, reachable, [chosen.x, chosen.y]) || loop.reference;
-  if (distanceTo(reference, loop.reference) > 1e-9) watch("it was asked for");
+  if (distanceTo(reference, loop.reference) > 1e-9) watch("the target was set");
   loop.reference = reference;
-  ["x", "y"].forEach((name, axis) => { if (document.activeElement !== element(name)) element(name).value = reference[axis].toFixed(decimals); });
+  ["x", "y"].forEach((name, axis) => { element(name).value = reference[axis].toFixed(decimals); });
 }
 
 function choose(changes) {
@@ -148,32 +148,30 @@ const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}
 /* The surrogate that predicts: the plant that is chosen, or else the first surrogate; -1 without one. */
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
 
-/* Its mean force over INTERVAL_WINDOW and the interval of this mean, and of the last window the greatest distance of its
- * motion from its training data and the part of the time beyond them; null without one, or before a whole window. */
+/* Its mean force over INTERVAL_WINDOW and the interval of this mean, and the part of the
+ * last window in which its motion resembled its training data; null without one, or before a whole window. */
 function prediction() {
   const index = predictor();
   if (index < 0 || loop.time < Math.max(WINDOW, INTERVAL_WINDOW)) return null;
   const plant = loop.plants[index], means = loop.memberAverages[index].map((window) => window.mean()), distances = loop.distances[index];
   const half = [0, 1].map((axis) => plant.halfWidth(means.map((mean) => mean[axis])));
   const mean = [0, 1].map((axis) => means.reduce((sum, each) => sum + each[axis], 0) / means.length);
-  return { mean, half, farthest: Math.max(...distances), beyond: distances.filter((distance) => distance > 1).length / distances.length };
+  return { mean, half, familiar: distances.filter((distance) => distance <= 1).length / distances.length };
 }
 
 function tell(predicted) {
-  const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
-  const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
-  // Before the first window is full, there is no mean over a window.
-  const full = loop.time >= WINDOW;
-  show("mean", full ? average.mean() : none);
-  show("error", full ? loop.error() : none, decimals + 1);
+  const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = Number.isFinite(value) ? numeral(value, digits) : "\u2013"; });
+  const { controller } = loop, average = loop.averages[loop.plant], none = [NaN, NaN];
+  show("mean", loop.mean());
+  show("error", loop.error(), decimals + 1);
   show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
-  show("sobolev", full ? average.sobolev() : none);
+  show("sobolev", loop.time < WINDOW ? none : average.sobolev());
   if (predictor() >= 0) {
     element("predictor").textContent = `${seconds(INTERVAL_WINDOW)} s mean in ${plants[predictor()].name}`;
     element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
     show("predicted", predicted ? predicted.mean : none);
     show("half", predicted ? predicted.half : none);
-    element("distance").textContent = predicted ? `${predicted.farthest.toFixed(2)}; ${(100 * predicted.beyond).toFixed(0)}% of the time > 1` : "\u2013";
+    element("distance").textContent = predicted ? `${Math.floor(100 * predicted.familiar)}% of the time` : "\u2013";
   }
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";

@@ -40,7 +40,7 @@ function nearestCellTo(cells, force) {
   return cells[distances.indexOf(Math.min(...distances))];
 }
 
-/* The force nearest to one that was asked for, of those in a cell that the fin can make; null where there is none. */
+/* The reachable force in a cell that is nearest to a target; null if there is none. */
 function nearestReference(cells, reachable, force) {
   if (reachable === null) return nearestOf(cells.map((cell) => withinCell(cell, force)), force);
   const points = [];

@@ -2,7 +2,6 @@
 gaits."""
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
@@ -62,7 +61,16 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
             )
         # Fins of other sizes may produce none of them.
         if reachable.contains(PAPER_REFERENCES).any():
-            mark_paper_references(axes, 11)
+            axes.plot(
+                *np.transpose(PAPER_REFERENCES),
+                "o",
+                fillstyle="none",
+                color=BLACK,
+                markersize=11,
+                markeredgewidth=1.4,
+                path_effects=HALO,
+                label="the paper's references",
+            )
         margin_n = MARGIN_N * reachable.size
         left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - margin_n
         right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + margin_n
@@ -73,19 +81,3 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         )
         figure.legend(loc="outside lower center", ncols=2)
     return figure
-
-
-def mark_paper_references(axes: Axes, markersize: float | int) -> None:
-    """Draw circles around the paper's references in a plane of forces."""
-    x, y = np.array(PAPER_REFERENCES, float).T
-    axes.plot(
-        x,
-        y,
-        "o",
-        fillstyle="none",
-        color=BLACK,
-        markersize=markersize,
-        markeredgewidth=1.4,
-        path_effects=HALO,
-        label="the paper's references",
-    )

@@ -446,6 +446,8 @@ def _collect_results(
 
 def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]]:
     """Return the figures of the stages, by section of the report and by caption."""
+    from softfin.evaluation.headline import headline
+
     prediction = {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
     learning = {}
     experiment = {}
@@ -457,9 +459,13 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
         learning[caption] = _folders(out, kind, seeds)[0] / "training/learning.png"
         experiment[caption] = out / "evaluation" / kind / "experiments.png"
         for file in sorted((shown / kind).glob("*.png")):
-            if file.stem != "experiments":
+            if file.stem not in ("experiments", "fin"):
                 moving[f"{caption}, {file.stem}"] = file
+    fin = {}
+    if best := headline(results):
+        fin["Fin under the best controller; grey: its stroke"] = shown / best.controller / "fin.png"
     sections = {
+        "fin": fin,
         "surrogate": prediction,
         "learning": learning,
         "experiment": experiment,

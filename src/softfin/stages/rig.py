@@ -36,6 +36,16 @@ MOVING = (
 ZEROING = "softfin sets the zero at the fin's current angle"
 ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
+ZERO_TEXTS = {
+    "angle_before_rad": "angle before: {:z.3f} rad",
+    "angle_after_rad": "angle now: {:z.3f} rad",
+    "own_stop": "stop of the drive: {}",
+    "force_before_n": "force at rest before: {0[0]:z.3f}, {0[1]:z.3f}, {0[2]:z.3f} N",
+    "force_after_n": "force at rest now: {0[0]:z.3f}, {0[1]:z.3f}, {0[2]:z.3f} N",
+    "noise_n": "noise: {0[0]:z.3f}, {0[1]:z.3f}, {0[2]:z.3f} N",
+}
+"""Lines that `zero` prints, by the name of the result."""
+
 
 def check(
     *,
@@ -153,7 +163,8 @@ def zero(
             result |= zero_angle(find_rig(config), confirm)
     if is_both or force:
         result |= zero_force(find_rig(config))
-    return Result(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
+    lines = [ZERO_TEXTS[name].format(value) for name, value in result.items()]
+    return Result(result, "\n".join(lines))
 
 
 def emulate(

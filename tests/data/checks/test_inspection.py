@@ -179,7 +179,7 @@ ALONE = {
     "mirrored velocity": (times(-1, "velocity_rad_s"), "velocity sign", "--negate velocity"),
     "offset": (offset, "force offset", "tare"),
     "still velocity": (still_velocity, "constant velocity", "--columns velocity=-"),
-    "counts": (counts, "counts", "convert the counts in the file"),
+    "counts": (counts, "counts", "--angles dynamixel --angle-zero 2048"),
 }
 """Faults, each with the name of the only issue that it makes, and a part of its fix."""
 
@@ -201,7 +201,7 @@ NOT_ALONE = {
     "other velocity": (velocity_of_something, "velocity", "map a different column"),
     "seam": (seam, "jumps", "--rows-per-log"),
     "no velocity": (always(0, "command_velocity_rad_s"), "command velocity", "map the column"),
-    "far": (plus(1.8, "angle_rad", "command_angle_rad"), "angle zero", "--angle-zero 105"),
+    "far": (plus(1.8, "angle_rad", "command_angle_rad"), "angle zero", "--angle-zero=1.833"),
 }
 
 

@@ -190,19 +190,23 @@ class Orientation:
     """Correlation after this rotation and in this frame."""
     shaft_correlation: float = 0.0
     """Largest correlation if the sensor turns with the shaft."""
+    is_shaft_reversed: bool = False
+    """Whether it then seems to turn in the opposite direction: the angle has the wrong sign."""
 
 
 def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
     """Search all frames and rotations for the axes in which a model fin fits the force best."""
     fits = {}
-    on_shaft = 0.0
+    on_shaft = {-1: 0.0, 1: 0.0}
     for degrees in range(-45, 46, 5):
         turned_force = force * np.exp(1j * np.radians(degrees))
         fits[degrees] = frame_correlations(angle, turned_force)
         if degrees % 15 == 0:
             # At a positive angle, the shaft is turned clockwise.
-            on_mount = turned_force * np.exp(-1j * angle)
-            on_shaft = max(on_shaft, *frame_correlations(angle, on_mount).values())
+            for sign, largest in on_shaft.items():
+                on_mount = turned_force * np.exp(sign * 1j * angle)
+                correlations = frame_correlations(angle, on_mount).values()
+                on_shaft[sign] = max(largest, *correlations)
     turn_deg = max(fits, key=lambda degrees: max(fits[degrees].values()))
     best = fits[turn_deg]
     frame = max(best, key=best.__getitem__)
@@ -211,7 +215,8 @@ def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
         turn_deg=turn_deg,
         frame=frame,
         correlation=best[frame],
-        shaft_correlation=on_shaft,
+        shaft_correlation=max(on_shaft.values()),
+        is_shaft_reversed=on_shaft[1] > on_shaft[-1],
     )
 
 

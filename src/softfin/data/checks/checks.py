@@ -17,6 +17,7 @@ from softfin.data.checks.signals import (
     frozen_runs,
     repeated_share,
     roughness,
+    speed_ratio,
     usual_range,
     velocity_ratio,
 )
@@ -36,7 +37,7 @@ from softfin.data.importing.importing import (
     ImportConfig,
     compose_frames,
 )
-from softfin.data.importing.names import RPM, UNITS
+from softfin.data.importing.names import UNITS
 from softfin.data.issues import Issue, Severity, counted
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
@@ -60,6 +61,13 @@ MIN_TURN_DEG = 15
 """Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
 turned by up to 10 degrees."""
 
+MAX_REST_ERROR_DEG = 4.0
+"""Largest plausible difference between the angle and its command while the fin is at rest
+[degrees]."""
+
+REST_SLOPES = (0.8, 1.25)
+"""Plausible slopes of the angle against its command while the fin is at rest."""
+
 SHAFT_GAIN = 0.03
 """Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
 
@@ -67,12 +75,10 @@ OFFSET_SHARE = 0.2
 """Largest plausible mean force on the fin at rest, divided by the standard deviation of the
 force."""
 
-MIN_DRIFT_S = 50
-"""Shortest log in which a drift is told from the random motion [s]."""
-
 DRIFT_SHARE = 0.7
 """Largest plausible drift of a force over a log, divided by its standard deviation; good logs of
-60 s have up to 0.56."""
+60 s have up to 0.56. In logs under 50 s, the random motion adds to it, so twice as much is
+plausible."""
 
 MIN_ROUGHNESS = 0.3
 """Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
@@ -81,9 +87,13 @@ logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
 FIN_LENGTHS_M = (0.03, 1.0)
 """Lengths of a fin that are plausible from the size of the forces."""
 
-VELOCITY_UNITS = {"deg": np.pi / 180, "rpm": RPM, "rad": 180 / np.pi}
-"""Units that are suggested for a velocity, by the factor that corrects it. A velocity in rad/s is
-only 57 times too small if it was read as degrees."""
+VELOCITY_UNITS = ("deg/s", "rpm", "rad/s", "turn/s", "dynamixel")
+"""Units that are suggested for a velocity."""
+
+TEN_BIT_RATIOS = (0.3, 0.145)
+"""Speed against the commanded velocity if registers of 10 bits (XL-320, AX) were read as those of
+the X series: 1,023 counts are 300 degrees and not 90, and a velocity of 1 is 0.111 rpm and not
+0.229."""
 
 FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
 MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
@@ -95,6 +105,12 @@ COUNTS_FIX = (
     "per turn (XL-320 and AX: 300 degrees are 1,023 counts), and the velocities as well"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
+
+CAUSES = {
+    "angle": "the command differs from it",
+    "command_angle": "the fin moves away from it",
+}
+"""Why a channel should change, if not because the fin moves."""
 
 CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
@@ -133,13 +149,25 @@ class CheckedLog(NamedTuple):
 
 def check_counts(log: CheckedLog) -> Iterator[Issue]:
     """Find angles in encoder counts that were read as radians."""
+    fix = COUNTS_FIX
+    raw = log.raw
+    count = UNITS["angle"]["dynamixel"]
+    ratio = speed_ratio(
+        count * raw.command_angle,
+        UNITS["velocity"]["dynamixel"] * raw.command_velocity,
+        count * raw.angle,
+    )
+    if ratio is not None and 0.9 < ratio < 1.1:
+        # The middle of the range is 0, or half a turn.
+        zero = 2048 if np.median(raw.angle) > 1024 else 0
+        fix = f"--angles dynamixel --angle-zero {zero}"
     for channel in channels_in_counts(log.raw):
         values = getattr(log.raw, channel)
         message = (
             f"ranges from {values.min():.4g} to {values.max():.4g}: these look like encoder "
             "counts, not rad or degrees"
         )
-        yield log.issue("error", "counts", channel, message, COUNTS_FIX)
+        yield log.issue("error", "counts", channel, message, fix)
 
 
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
@@ -207,8 +235,13 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     columns = log.columns
     # On a fin that moves the force changes, and a drive that is 0.1 rad away from its target moves.
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
-    for channel, unit in CHANNEL_UNITS.items():
-        driven = behind if channel == "angle" else log.moving
+    # A command does not let the fin move away from it.
+    away = columns.angle - columns.command_angle
+    leaves = (np.abs(away) > 0.2) & (np.sign(away) * measure_rate(log.calm.angle) > 0.2)
+    leaves &= log.statistics.following > 0
+    channels = {"angle": behind, "command_angle": leaves}
+    for channel, unit in {**CHANNEL_UNITS, "command_angle": "rad"}.items():
+        driven = channels.get(channel, log.moving)
         values = getattr(columns, channel)
         runs = []
         for start, end in frozen_runs(values):
@@ -219,7 +252,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         if runs:
             # The first of the longest runs: starts are negated for max().
             longest, start = max(runs)
-            cause = "the command differs from it" if channel == "angle" else "the fin is moving"
+            cause = CAUSES.get(channel, "the fin is moving")
             message = (
                 f"stuck at {values[-start]:.4g} {unit}, or within one count of it, for "
                 f"{longest * TICK_S:.2f} s while {cause}; {counted(len(runs), 'such run')}"
@@ -292,7 +325,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     elif not 0.95 < ratio < 1.05:
         severity = "warning" if 0.5 < ratio < 2 else "error"
         name = "velocity unit"
-        fix = _unit_option(log.config, "velocity", 1 / ratio) or (
+        fix = _unit_option(log, "velocity", 1 / ratio) or (
             "check the clock, because a loop that is slower than its stamps has such a ratio, and "
             "the velocity's unit"
         )
@@ -308,27 +341,37 @@ def check_speed(log: CheckedLog) -> Iterator[Issue]:
         return
     name = "command velocity unit"
     severity: Severity = "error"
-    option = _unit_option(log.config, "command_velocity", ratio)
+    option = _unit_option(log, "command_velocity", ratio)
     fix = option or (
-        f"find the unit in the drive's manual; multiplied by {ratio:.3g}, the column is in rad/s"
+        f"find the unit in the drive's manual; multiplied by {ratio:.3g}, the column would fit"
     )
     # A clock, the angle's scale or a slow drive may be the reason for such ratios.
     if option is None and 0.05 < ratio < 20:
         name = "speed"
         severity = "warning"
-        fix = (
-            "compare the column with the drive's manual, and the clock with the loop's rate; "
-            "10-bit counts (1,023 are 300 degrees) that were read as 12-bit counts have 0.29"
-        )
+        fix = "compare the column with the drive's manual, and the clock with the loop's rate"
+        if any(0.93 < ratio / expected < 1.07 for expected in TEN_BIT_RATIOS):
+            fix = (
+                "if the drive is an XL-320 or AX, convert its registers in the file: 1,023 counts "
+                "are 300 degrees, and a velocity of 1 is 0.111 rpm"
+            )
     message = f"the fin moves at {ratio:.3g} times the commanded velocity"
     yield log.issue(severity, name, "command_velocity", message, fix)
 
 
-def _unit_option(config: ImportConfig, channel: AngleChannel, factor: float) -> str | None:
+def _unit_option(log: CheckedLog, channel: AngleChannel, factor: float) -> str | None:
     """Return the option for the unit that makes a velocity larger by this factor, or None."""
-    for unit, expected in VELOCITY_UNITS.items():
-        if 0.93 < factor / expected < 1.07:
-            return _angles_option(dict(config.angles) | {channel: unit})
+    angles = dict(log.config.angles)
+    # `factor` is that of the column after the conversion that check_degrees suggests.
+    wrong = channels_in_degrees(log.raw, log.config.velocity_rad_s is not None)
+    angles |= {each: "deg" for each in ANGLES if each in wrong}
+    known = UNITS["velocity"]
+    current = angles.get(channel, "rad/s")
+    # An angle unit for a velocity, such as deg, means that unit per second.
+    factor *= known[current if current in known else f"{current}/s"]
+    for unit in VELOCITY_UNITS:
+        if 0.93 < factor / known[unit] < 1.07:
+            return _angles_option(angles | {channel: unit})
     return None
 
 
@@ -377,6 +420,32 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         yield log.issue("warning", "not following", column, message, fix)
 
 
+def check_rest(log: CheckedLog) -> Iterator[Issue]:
+    """Find an angle that differs from its command while the fin is at rest."""
+    columns = log.calm
+    is_held = np.abs(measure_rate(columns.command_angle)) == 0
+    at_rest = is_held & (np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S)
+    command = columns.command_angle[at_rest]
+    angle = columns.angle[at_rest]
+    if len(angle) < RATE_HZ or np.ptp(command) < 0.05 or abs(log.statistics.following) < 0.3:
+        return
+    # A blocked drive is at rest, too, so the median counts and not the mean.
+    offset = np.degrees(np.median(angle - command))
+    slope = float(np.polyfit(command, angle, 1)[0])
+    message = ""
+    if not REST_SLOPES[0] < abs(slope) < REST_SLOPES[1]:
+        message = f"at rest, the angle changes by {slope:.3g} times the change of its command"
+        fix = "check the units of both columns, and set that of the wrong one with --angles"
+    elif slope > 0 and abs(offset) > MAX_REST_ERROR_DEG:
+        message = f"at rest, the angle is {offset:+.0f} degrees from its command"
+        fix = (
+            "find out which of them is 0 when the fin points along -x, and correct the zero of the "
+            "other column in the file; --angle-zero changes both"
+        )
+    if message:
+        yield log.issue("error", "rest angle", "angle", message, fix)
+
+
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
     a force that is unrelated to the motion."""
@@ -395,9 +464,12 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     elif found.shaft_correlation > found.correlation + SHAFT_GAIN:
         name = "shaft frame"
         reading = f"{found.shaft_correlation:.2f} if the sensor turns with the shaft"
+        formula = "x cos(a) + y sin(a), y cos(a) - x sin(a)"
+        if found.is_shaft_reversed:
+            formula = "x cos(a) - y sin(a), y cos(a) + x sin(a)"
         fix = (
-            "turn the forces in the file back by the angle a: x cos(a) + y sin(a), "
-            "y cos(a) - x sin(a); or fix the sensor to the mount and record again"
+            f"turn the forces in the file back by the angle a: {formula}; or fix the sensor to the "
+            "mount and record again"
         )
     elif abs(found.turn_deg) >= MIN_TURN_DEG and found.correlation > in_frame + 0.02:
         name = "turned force"
@@ -453,11 +525,11 @@ def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
 
 def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
     """Return the option that makes a recorded angle the new angle 0."""
-    unit = config.angles.get("angle", "deg")
+    unit = config.angles.get("angle", "rad")
     shift = np.radians(degrees) / UNITS["angle"][unit]
     if "angle" in config.negate:
         shift = -shift
-    return f"--angle-zero {config.angle_zero + shift:.4g} ({unit})"
+    return f"--angle-zero={config.angle_zero + shift:.4g}"
 
 
 def is_clock_off(found: LogStatistics) -> bool:
@@ -491,7 +563,8 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
         column = f"force_{axis}"
         change = drift(getattr(log.calm, column))
         of_deviation = f"the standard deviation over the log is {deviation:.2g} N"
-        if abs(change) > DRIFT_SHARE * deviation and found.rows >= MIN_DRIFT_S * RATE_HZ:
+        share = DRIFT_SHARE if found.rows >= 50 * RATE_HZ else 2 * DRIFT_SHARE
+        if abs(change) > share * deviation and found.rows >= MIN_ALIGNED_S * RATE_HZ:
             message = f"drifts by {change:+.2g} N over the log; {of_deviation}"
             fix = "let the sensor warm up, or subtract the drift from the column"
             yield log.issue("warning", "force drift", column, message, fix)
@@ -598,6 +671,7 @@ LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_commanded_velocity,
     check_speed,
     check_following,
+    check_rest,
     check_force_clock,
     check_force_axes,
     check_force_offset,

@@ -104,7 +104,10 @@ def inspect(
             force_y=without_spikes(columns.force_y),
         )
         statistics.append(measure(calm, named))
-        log = CheckedLog(raw, columns, calm, statistics[-1], config)
+        # Suggested options extend those of the file.
+        angles = {**named.units, **config.angles}
+        own = config.model_copy(update={"angles": angles})
+        log = CheckedLog(raw, columns, calm, statistics[-1], own)
         in_counts = list(check_counts(log))
         if in_counts:
             # No other check is meaningful while an angle's scale and zero are unknown.

@@ -6,6 +6,8 @@ and readings are interpolated, after a low-pass filter if the source is faster.
 """
 
 import itertools
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
-from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.importing import AngleChannel, ImportConfig
 from softfin.data.importing.names import CHANNELS, UNITS
 from softfin.data.issues import MAX_ODD_SHARE, Issue, counted, row_severity
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
@@ -71,6 +73,8 @@ class Recording(NamedTuple):
     tracks: tuple[Track, ...]
     issues: tuple[Issue, ...] = ()
     """Issues found while reading the file."""
+    units: Mapping[AngleChannel, str] = MappingProxyType({})
+    """Units of angles and velocities in the file, unless they are SI units."""
 
 
 class NamedLog(NamedTuple):
@@ -81,6 +85,8 @@ class NamedLog(NamedTuple):
     log: Log
     start_s: float = 0.0
     """Time on the recording's clock when the log's time is 0 [s]."""
+    units: Mapping[AngleChannel, str] = MappingProxyType({})
+    """Units of angles and velocities in the file, unless they are SI units."""
 
 
 def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
@@ -116,7 +122,7 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
             )
             issues += found
             log = log._replace(channels=channels)
-            logs.append(NamedLog(piece, recording.part, log, start))
+            logs.append(NamedLog(piece, recording.part, log, start, recording.units))
     return logs, issues
 
 

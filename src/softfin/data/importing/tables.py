@@ -19,7 +19,7 @@ from softfin.data.importing.columns import (
     describe_columns,
 )
 from softfin.data.importing.importing import ANGLES, ImportConfig
-from softfin.data.importing.names import CHANNELS, OWN_NAMES
+from softfin.data.importing.names import CHANNELS, KINDS, OWN_NAMES, SI
 from softfin.data.importing.text_table import DECIMAL, Table, read_text_table
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
@@ -64,19 +64,23 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
     issues += _notes(name, table.names, found, own, config)
-    return _split_rows(Recording(name, part, (Track(time, values),), tuple(issues)), table, config)
+    angles = {channel: units[channel] for channel in ANGLES if channel in units}
+    not_si = {channel: unit for channel, unit in angles.items() if unit != SI[KINDS[channel]]}
+    whole = Recording(name, part, (Track(time, values),), tuple(issues), not_si)
+    return _split_rows(whole, table, config)
 
 
 def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> list[Recording]:
     """Split a recording into its logs, and each log into the tracks of its sources."""
-    name, part, (whole,), issues = recording
+    name, _, (whole,), issues, _ = recording
     rows = len(whole.time)
     edges = {*table.starts, *range(0, rows, config.rows_per_log or rows), rows}
     recordings = []
     for start, end in itertools.pairwise(sorted(edges)):
         piece = name if len(edges) == 2 else f"{name} rows {start}..{end - 1}"
         tracks, merged = _tracks(whole.take(slice(start, end)), piece)
-        recordings.append(Recording(piece, part, tracks, (*issues, *merged)))
+        found = (*issues, *merged)
+        recordings.append(recording._replace(name=piece, tracks=tracks, issues=found))
         # The notes describe the file, so only its first piece has them.
         issues = ()
     return recordings
