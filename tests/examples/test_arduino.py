@@ -126,7 +126,7 @@ def test_the_commands_of_the_page_run_one_after_the_other(tmp_path, monkeypatch,
     assert set(SMALLER) <= set(printed)
     # Each advice is the next command's option.
     first, second, third = printed["inspect"]
-    assert "--angle-zero 90" in first
+    assert "--angle-zero=90" in first
     assert "--force=x,-y" in second
     assert "0 errors" in third
     evaluation = json.loads((tmp_path / "evaluation/evaluation.json").read_text())
