@@ -1,7 +1,8 @@
 // Two load cells on HX711 converters as the force sensor of a rig, for softfin's sensor type "lines".
-// Not tested on hardware. Facts about the HX711 are from memory of its data sheet, not looked up: a
-// low data line means that a sample is ready, 24 bits follow, the most significant first, and a 25th
-// clock pulse selects channel A with gain 128. Connect RATE to VCC for 80 samples per second.
+// Not tested on hardware. From the data sheet of the HX711 (AVIA Semiconductor, "24-Bit ADC for Weigh
+// Scales", sections Serial Interface and Reset and Power-Down): a low data line means that a sample is
+// ready, 24 bits follow, the most significant first, and 25 clock pulses select channel A with gain 128
+// for the next sample. Connect RATE to VCC for 80 samples per second.
 // The numbers are raw: rig.yaml contains the scale, and softfin keeps the zero.
 
 const int CLOCK_PIN = 2;
@@ -18,7 +19,7 @@ void loop() {
   if (digitalRead(DATA_PINS[0]) || digitalRead(DATA_PINS[1])) return;  // a sample is not ready
   unsigned long time_us = micros();
   long value[2] = {0, 0};
-  noInterrupts();  // a clock pulse longer than 60 us would switch the converters off
+  noInterrupts();  // a clock pulse longer than 50 us is not allowed; 60 us switch the converters off
   for (int bit = 0; bit < 25; bit++) {
     digitalWrite(CLOCK_PIN, HIGH);
     digitalWrite(CLOCK_PIN, LOW);

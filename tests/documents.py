@@ -26,6 +26,7 @@ SHOWING = (
     *sorted((ROOT / "docs").glob("*.py")),
     *sorted((ROOT / "studies").glob("*.py")),
     *sorted((ROOT / "examples").glob("*.py")),
+    *sorted((ROOT / "examples/arduino").glob("*.py")),
 )
 """Python files whose first docstring is a document, too."""
 

@@ -90,13 +90,18 @@ ELSEWHERE = {
 small stages."""
 
 
+WHOLE_PAGES = {"docs/tutorials/5-arduino.md": "tests/examples/test_arduino.py"}
+"""Pages whose commands run one after the other, and the tests that run them."""
+
+
 def runs(shown: Shown) -> bool:
-    """Whether a command is whole (in a sentence, one that says where its result goes), and not run
-    by the site."""
+    """Whether a command is whole (in a sentence, one that says where its result goes), and run
+    neither by the site nor with its page."""
     words = softfin_words(shown)
     return (
         bool(words)
         and not shown.in_cell
+        and shown.document not in WHOLE_PAGES
         and (not shown.in_sentence or "--out" in words or "--onnx" in words)
     )
 
