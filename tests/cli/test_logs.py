@@ -96,6 +96,7 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
         "degrees",
         "force axes",
         "columns",
+        "force unit",
         "velocity derived",
     }
     assert printed["options"]["rows_per_log"] == 6000
@@ -134,7 +135,7 @@ def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, caps
     assert softfin("import-logs", authors, *right) == 0
     printed = capsys.readouterr().out
     assert "final_dataset.csv: command_angle='command angle' in deg, " in printed
-    assert "2 + 1 logs, 18,000 rows; 0 errors, 0 warnings, 2 notes" in printed
+    assert "2 + 1 logs, 18,000 rows; 0 errors, 1 warning, 2 notes" in printed
     data = Dataset.open(tmp_path / "d")
     log, _ = data.load(data.train)
     original = tank_logs()[0]

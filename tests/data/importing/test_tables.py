@@ -50,7 +50,7 @@ def test_the_authors_csv_is_read_with_a_mapping_and_a_rate(tmp_path, columns):
     (track,) = recording.tracks
     np.testing.assert_allclose(track.channels["angle"], columns["angle_rad"])
     np.testing.assert_allclose(track.time, np.arange(6000) / 100)
-    assert kinds(recording) == ["columns", "velocity derived"]
+    assert kinds(recording) == ["columns", "force unit", "velocity derived"]
     assert recording.issues[0].message.startswith(
         "command_angle='command angle' in rad (assumed), "
     )

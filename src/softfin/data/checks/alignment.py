@@ -39,7 +39,7 @@ WINDOW_TICKS = 600
 RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 """Ticks around a command step in which its response is searched."""
 
-MIN_FOLLOWING = 0.6
+MIN_FOLLOWING = 0.5
 """Lowest correlation between the angle and its command at which their lag is known; good logs have
 0.75 and more."""
 

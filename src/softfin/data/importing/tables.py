@@ -19,7 +19,7 @@ from softfin.data.importing.columns import (
     describe_columns,
 )
 from softfin.data.importing.importing import ANGLES, ImportConfig
-from softfin.data.importing.names import CHANNELS, KINDS, OWN_NAMES, SI
+from softfin.data.importing.names import CHANNELS, KINDS, OWN_NAMES, SI, UNITS
 from softfin.data.importing.text_table import DECIMAL, Table, read_text_table
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
@@ -244,6 +244,11 @@ def _notes(
             f"command_velocity = {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
+    if not found["force_x"].is_unit_stated:
+        # The size of a force says nothing about its unit, because fins differ in size.
+        text = f"column {found['force_x'].name!r} does not state its unit: N is assumed"
+        fix = f"state the unit: --force-unit {' or '.join(UNITS['force'])}"
+        notes.append(Issue("warning", "force unit", name, text, fix, "force_x"))
     read = {*(column.name for column in found.values()), *own}
     if unused := [column for column in names if column and column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
