@@ -359,13 +359,13 @@ def test_two_publishers_that_disagree_about_one_joint_are_found(
 def test_a_fast_fin_and_spikes_are_not_two_publishers(rate_hz):
     time = np.arange(0, 30, 1 / rate_hz)
     angle = np.sin(2 * np.pi * 3 * time)
-    assert not find_disagreements(time, angle).size
+    assert not find_disagreements(time, angle, 0.05, 5.8).size
     spiky = angle.copy()
     spiky[5 :: rate_hz // 5] -= 6.0
-    assert not find_disagreements(time, spiky).size
+    assert not find_disagreements(time, spiky, 0.05, 5.8).size
     # An encoder that wraps back and forth at half a turn.
     wrapped = (np.pi + 0.01 * (-1.0) ** np.arange(len(time)) + np.pi) % (2 * np.pi) - np.pi
-    assert not find_disagreements(time, wrapped).size
+    assert not find_disagreements(time, wrapped, 0.05, 5.8).size
 
 
 @pytest.mark.parametrize(
