@@ -63,7 +63,7 @@ class Exported(NamedTuple):
 
 
 class OnnxOperations(Operations):
-    """Operations with ndonnx, which adds operators to a graph; both of two choices are computed."""
+    """Operations with ndonnx, which adds operators to a graph; `choose` computes both values."""
 
     def __init__(self) -> None:
         import ndonnx
@@ -78,13 +78,13 @@ class OnnxOperations(Operations):
     def choose(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Select with ``where``, part by part."""
+        """Select with ``where``, leaf by leaf."""
         one: Any = then()
         other: Any = otherwise()
         return tuple(self.xp.where(condition, a, b) for a, b in zip(one, other, strict=True))
 
     def dot(self, vector: Array, matrix: Array) -> Array:
-        """Multiply with a MatMul; ndonnx's own has branches for arrays without elements."""
+        """Multiply with a MatMul operator; the ndonnx function adds branches for empty arrays."""
         operators = importlib.import_module("spox.opset.ai.onnx.v17")
         product = operators.matmul(vector.unwrap_spox(), self.constant(matrix).unwrap_spox())
         return self.xp.asarray(product)
@@ -102,17 +102,17 @@ class OnnxOperations(Operations):
         return self.xp.clip(number, low, high)
 
     def constant(self, values: object) -> Any:
-        """Convert to constants of the graph, each array to one."""
+        """Convert each array to a constant of the graph."""
         if isinstance(values, tuple):
             return type(values)(*map(self.constant, values))
         if not isinstance(values, np.ndarray):
             return values
-        # The array is kept, so that no other array can get its id.
+        # The array is kept so that no other array can have the same id.
         return self._constants.setdefault(id(values), (values, self.xp.asarray(values)))[1]
 
 
 def export_onnx(controller: LoadedController, file: Path, overwrite: bool = False) -> Exported:
-    """Write the step to a file, checked by onnx and run by onnxruntime.
+    """Write the step to a file, after checking it with onnx and running it with onnxruntime.
 
     Raises:
         ConfigurationError: the extra is not installed.
@@ -152,14 +152,14 @@ def _check_extra() -> None:
 
 
 def _initial_state(controller: LoadedController) -> dict[str, np.ndarray]:
-    """Return the initial values of the file's state: that of the step, and the last command."""
+    """Return the initial values of the state in the file: the step state and the last command."""
     state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     at_rest = np.array((controller.limits.rest_angle, controller.limits.velocity_min), np.float32)
     return state | {LAST_COMMAND: at_rest}
 
 
 def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
-    """Return the ONNX model of the step, with the names and shapes of the file's inputs."""
+    """Return the ONNX model of the step; its inputs have the names and shapes used in the file."""
     import ndonnx
 
     limits = controller.limits
@@ -194,7 +194,7 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
 
 
 def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Round the range inwards to float32, so that clipped commands never exceed the limits."""
+    """Round the range inwards to float32 so that clipped commands never exceed the limits."""
     first = np.float32(low)
     last = np.float32(high)
     if first < low:
@@ -288,6 +288,6 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         state = dict(zip(state, after, strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
         difference = np.abs(np.array(command) - (exported_angle, exported_velocity)).max()
-        # NaN, which is not equal to itself, must not pass as no difference.
+        # NaN must not be treated as no difference.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst
