@@ -86,8 +86,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Reset the fin to rest. ``options={"reference": (x, y)}`` sets the reference; otherwise,
-        it is drawn at random.
-        """
+        it is drawn at random."""
         super().reset(seed=seed)
         references = self.references
         if unknown := set(options or {}) - {"reference"}:

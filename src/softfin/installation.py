@@ -1,6 +1,5 @@
 """Detects the installed parts of softfin and suggests the command that adds an extra. It uses only
-the standard library.
-"""
+the standard library."""
 
 import importlib.metadata
 import re

@@ -77,8 +77,7 @@ def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
 
 UNSTEADY = 3.0
 """Change in the window error within the last `UNSTEADY_ACTIONS`, divided by its noise, above which
-the fin is treated as not settled.
-"""
+the fin is treated as not settled."""
 
 UNSTEADY_ACTIONS = 3
 
@@ -95,12 +94,10 @@ class DisturbanceObserverConfig(Configuration):
     bias_per_n: NonNegativeFloat | None = None
     """Standard deviation of the change in the force error when the reference moves by 1 N [N];
     null: 0.03 N, scaled. The variance is proportional to the distance, so a slow movement adds as
-    much as a step.
-    """
+    much as a step."""
     drift_n: NonNegativeFloat | None = None
     """Standard deviation of the sensor drift without zeroing [N]; null: 0.05 N, scaled. If it is 0,
-    every error is attributed to the controller.
-    """
+    every error is attributed to the controller."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     noise_n: PositiveFloat | None = None
@@ -108,16 +105,13 @@ class DisturbanceObserverConfig(Configuration):
     scaled."""
     lag_actions: NonNegativeInt = 1
     """Number of actions until the force follows the reference; the window of references is shifted
-    by this number.
-    """
+    by this number."""
     settle_actions: PositiveInt | None = None
     """Number of actions without estimation after rest, while the fin is starting; null: one more
-    than the window and the lag.
-    """
+    than the window and the lag."""
     still_n: PositiveFloat | None = None
     """Largest movement of the reference within the window that is treated as none [N]; null: 0.05
-    N, scaled. Above it, the noise variance grows with the fourth power of the movement.
-    """
+    N, scaled. Above it, the noise variance grows with the fourth power of the movement."""
     limit_n: PositiveFloat | None = None
     """Maximum correction per axis [N]; null: 1 N, scaled."""
 
@@ -137,8 +131,7 @@ class ObserverForces(NamedTuple):
         cls, config: DisturbanceObserverConfig, reachable: Reachable | None
     ) -> "ObserverForces":
         """Return the configured forces. Defaults are scaled to the fin, or unscaled if its reach is
-        unknown.
-        """
+        unknown."""
         size = 1.0 if reachable is None else reachable.size
         forces = cls(*(size * force for force in cls()))
         # The variance bias_per_n^2 * distance is a squared force, and the distance is already
@@ -225,8 +218,7 @@ class DisturbanceObserver:
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Lower and upper corners of the cells ``(cells, 2)`` [N]; None if the controller covers
-        every reference.
-        """
+        every reference."""
         return cell_corners(self.cells) if self.cells else None
 
     def init(self) -> DisturbanceObserverState:

@@ -19,8 +19,7 @@ class GaitState(NamedTuple):
 
     age: Number
     """Number of actions since the start; not reset when the reference moves, so that the gait keeps
-    its phase.
-    """
+    its phase."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,7 @@ class GaitStep:
         cells: Cells,
     ) -> tuple["GaitStep", Cells]:
         """Build the step from a controller's description and arrays; return the step and the
-        bounding box of its lattice.
-        """
+        bounding box of its lattice."""
         table = ForceMap.from_dict(description, arrays).gaits.table
         box = Cell(low=tuple(table.low.tolist()), high=tuple(table.high.tolist()))
         return cls(table), (box,)

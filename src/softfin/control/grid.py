@@ -26,8 +26,7 @@ class GridState(NamedTuple):
     cell: Array
     actions: Array
     """Past actions in [-1, 1], newest first: one window, and the earlier actions that its first
-    observation contains.
-    """
+    observation contains."""
     angles: Array
     """Shaft angle at each action of the last window, newest first [rad]."""
     age: Number
@@ -59,8 +58,7 @@ class GridStep:
         cells: Cells,
     ) -> tuple["GridStep", Cells]:
         """Build the step from a controller's description and arrays; return the step and its
-        cells.
-        """
+        cells."""
         if not cells:
             raise ValueError("cells: empty; a grid needs at least one cell")
         observation = PolicyObservation.from_description(description)

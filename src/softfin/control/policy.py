@@ -61,8 +61,7 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
 
     def observe(self, ops: Operations, now: Array, actions: Array) -> Array:
         """Return the observation in SI units, with as many past `actions` (newest first) as the
-        policy observes.
-        """
+        policy observes."""
         observation: Array = ops.xp.concat([now, actions[: 2 * (self.past_actions + 1)]])
         return observation
 

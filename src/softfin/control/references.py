@@ -22,14 +22,12 @@ from softfin.gaits.reachable import (
 
 CELL_EDGE_FRACTION = 3e-5
 """References outside a cell by less than this fraction of its largest force are treated as on its
-edge, because forces are rounded to float32.
-"""
+edge, because forces are rounded to float32."""
 
 
 PATTERN_SCALES = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1])
 """Scale factors, relative to the natural size, at which the pattern of the paper's references is
-tried.
-"""
+tried."""
 
 SPREAD = 0.6
 """Distance of the six references from the centre, as a fraction of the reach, if the paper's
@@ -84,8 +82,7 @@ def _rounded(forces: Float[np.ndarray, "forces 2"], scale: float) -> tuple[Force
 
 def controller_cells(controller: object) -> Cells:
     """Return the cells for which a controller was trained; empty for a controller without `cells`,
-    which covers every reference.
-    """
+    which covers every reference."""
     return cast(Cells, getattr(controller, "cells", None) or ())
 
 

@@ -34,8 +34,7 @@ class ActionClock(Configuration):
     """Durations of consecutive actions [ticks of 10 ms], repeated in this order."""
     window_actions: PositiveInt = 6
     """Number of actions in the window; a motion with the period of the window causes no ripple in
-    the mean.
-    """
+    the mean."""
 
     @model_validator(mode="after")
     def _is_valid(self) -> "ActionClock":
@@ -86,8 +85,7 @@ class ActionClock(Configuration):
     @classmethod
     def parse(cls, text: str) -> "ActionClock":
         """Parse ``paper``, a rate [Hz], or a rate and a window [s] such as ``6,1``; raises
-        ConfigurationError if the text is invalid.
-        """
+        ConfigurationError if the text is invalid."""
         if text == "paper":
             return cls()
         try:
@@ -104,8 +102,7 @@ class ActionClock(Configuration):
     @property
     def max_ticks(self) -> int:
         """Number of rows per action in a compiled program, where all actions have the same shape;
-        shorter actions ignore the last rows.
-        """
+        shorter actions ignore the last rows."""
         return max(self.ticks)
 
     @property
@@ -130,8 +127,7 @@ class ActionClock(Configuration):
 
     def valid_rows(self, actions: int) -> list[int]:
         """Return the indices of the valid rows among the concatenated rows of the first actions,
-        which have `max_ticks` rows each.
-        """
+        which have `max_ticks` rows each."""
         return [
             action * self.max_ticks + tick
             for action, ticks in enumerate(self.action_ticks(actions))

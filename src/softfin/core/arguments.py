@@ -14,8 +14,7 @@ from softfin.core.errors import ConfigurationError, SoftfinError
 def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a function so that it raises ConfigurationError if it has no such argument, or if a
     path is expected and the value is not one. Its other error messages contain parameters, not
-    options.
-    """
+    options."""
     signature = inspect.signature(function)
 
     def parameter(option: re.Match[str]) -> str:

@@ -12,8 +12,7 @@ from collections.abc import Callable
 
 PAIR_S = 0.005
 """Maximum time between two clock readings that are treated as simultaneous [s]: a tenth of the
-shortest pause that is treated as a suspend.
-"""
+shortest pause that is treated as a suspend."""
 
 
 class Clock:
@@ -52,8 +51,7 @@ class Clock:
 
     def condition(self) -> threading.Condition:
         """Create a condition with its own re-entrant lock; like `lock`, it may be held while the
-        owner waits.
-        """
+        owner waits."""
         return threading.Condition()
 
     lock = condition

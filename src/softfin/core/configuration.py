@@ -27,8 +27,7 @@ Config = TypeVar("Config", bound="Configuration")
 
 class _OneLineErrors(ModelMetaclass):
     """Metaclass of the configuration classes: constructor calls raise ConfigurationError with a
-    one-line message. Validation within pydantic does not use it.
-    """
+    one-line message. Validation within pydantic does not use it."""
 
     def __call__(cls, *args: object, **values: object) -> Any:
         try:

@@ -34,5 +34,4 @@ MODELS = {
 """Supported models. Model Number (0) is on the page of each model, and the unit is in the entry
 Present Current (126). On the pages "XM430-W350" and "XH430-V350", this entry refers to Goal Current
 (102) ("about 2.69 mA", "about 1.34 mA"). Other models of the X series have the same control table,
-apart from the XL330, the XC330 and models without a current sensor.
-"""
+apart from the XL330, the XC330 and models without a current sensor."""

@@ -62,6 +62,5 @@ class SafetyStop(RunError):
 
 def one_line(error: BaseException) -> str:
     """Return the message of an error as one line of at most 300 characters, or its type if it has
-    no message.
-    """
+    no message."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -47,8 +47,7 @@ def unlock_file(descriptor: int) -> None:
 
 def _leave_to_parent() -> None:
     """Close the descriptors in a forked child, which would otherwise hold the locks after its
-    parent has ended.
-    """
+    parent has ended."""
     for descriptor in list(_open_descriptors):
         unlock_file(descriptor)
 
@@ -67,8 +66,7 @@ def find_holder(path: Path) -> int | None:
 
 def describe_holder(path: Path) -> str:
     """Return `` (process NUMBER)`` for the process that locked a file, or an empty string if the ID
-    is unknown.
-    """
+    is unknown."""
     process = find_holder(path)
     return "" if process is None else f" (process {process})"
 

@@ -9,8 +9,7 @@ JsonObject: TypeAlias = dict[str, Any]
 
 def describe_changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
     """Return the first three names whose values differ, with both values; empty if no values
-    differ.
-    """
+    differ."""
     changes = [
         f"{name} was {before.get(name)!r} and is {now.get(name)!r}"
         for name in sorted(before.keys() | now.keys())

@@ -80,5 +80,4 @@ HIDDEN = Parameter(parse=False)
 Config: TypeAlias = Annotated[Settings | None, FILE]
 """Configuration of a stage: complete, or changes to the default. On the command line, it is a YAML
 file. Each field is also an option, such as ``--excitation.hold-min-s 0.2``, which overrides the
-file.
-"""
+file."""

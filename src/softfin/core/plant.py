@@ -46,14 +46,12 @@ class Plant(Protocol):
 
     def init(self, key: PRNGKeyArray) -> State:
         """Return the state at time 0 of a fin at rest at `limits.rest_angle`. The key determines
-        all randomness (sensor noise, conditions).
-        """
+        all randomness (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after
         each sample; fields have the shape ``(ticks,)``. To compile it, call it within a function
-        and pass this function to `jax.jit`.
-        """
+        and pass this function to `jax.jit`."""
 
 
 @runtime_checkable
@@ -92,8 +90,7 @@ class ForceInterval(Protocol):
 @runtime_checkable
 class EnsemblePlant(Plant, Protocol):
     """A plant with several members, whose disagreement estimates its error; `advance` returns their
-    mean.
-    """
+    mean."""
 
     @property
     def size(self) -> int:
@@ -119,8 +116,7 @@ def check_key(key: PRNGKeyArray) -> None:
 
 def check_commands(limits: Limits, commands: Command) -> None:
     """Raise CommandError if a command is outside the limits. Traced values are unknown and not
-    checked: in a compiled program, a plant follows any command.
-    """
+    checked: in a compiled program, a plant follows any command."""
     if not isinstance(commands, Command):
         raise CommandError(
             f"command = {reprlib.repr(commands)}: must be softfin.Command(angle, velocity)"
@@ -146,8 +142,7 @@ def check_commands(limits: Limits, commands: Command) -> None:
 
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
     """Issue one command per tick, ``(ticks,)``, and read after each tick; raises CommandError if a
-    command is outside the plant's limits.
-    """
+    command is outside the plant's limits."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
@@ -200,8 +195,7 @@ def repeat(
     tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks, rows: int
 ) -> tuple[State, Output]:
     """Repeat `tick` for `ticks` ticks and stack its results as ``(rows, ...)``; the first `ticks`
-    rows are valid.
-    """
+    rows are valid."""
     # For gradients, recomputing a tick is faster than storing its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
@@ -223,8 +217,7 @@ def hold(
     plant: Plant, state: State, actions: Command, clock: ActionClock = PAPER_CLOCK
 ) -> tuple[State, Reading]:
     """Hold each of the ``(actions,)`` commands for one action of the clock; fields have the shape
-    ``(ticks,)``.
-    """
+    ``(ticks,)``."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(clock.action_ticks(count)))
@@ -236,6 +229,5 @@ def hold(
 
 def drop_padding(rows: Array, actions: int, clock: ActionClock) -> Array:
     """Concatenate the valid rows of consecutive actions, ``(actions, rows, ...)``, into ``(ticks,
-    ...)``; the first action is the first of the clock.
-    """
+    ...)``; the first action is the first of the clock."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(clock.valid_rows(actions))]

@@ -76,8 +76,7 @@ def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
 
 def _find_name(value: object) -> str | None:
     """Return the name of a function or class in its module; None for anything else. A closure, a
-    bound method and a partial function depend on more than their names.
-    """
+    bound method and a partial function depend on more than their names."""
     found: object = sys.modules.get(getattr(value, "__module__", None) or "")
     name: str = getattr(value, "__qualname__", "")
     for part in name.split("."):

@@ -1,6 +1,5 @@
 """Makes text from files and devices safe to display; the name of a fin, for example, may contain
-terminal control sequences.
-"""
+terminal control sequences."""
 
 
 def printable(text: str, keep: str = "", most: int | None = None) -> str:

@@ -9,8 +9,7 @@ class Progress(Protocol):
 
     def __call__(self, stage: str, fraction: float, note: str, /) -> None:
         """Report the completed `fraction` of a stage (0 .. 1) and its latest figures as a
-        `note`.
-        """
+        `note`."""
 
 
 def silent(stage: str, fraction: float, note: str, /) -> None:

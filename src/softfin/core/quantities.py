@@ -18,14 +18,12 @@ TICK_S = 1 / RATE_HZ
 
 DAY = 24 * 3600 * RATE_HZ
 """Period of the day counter [ticks]. A plant counts ticks in 32 bits and reports time in single
-precision; neither can represent Unix time.
-"""
+precision; neither can represent Unix time."""
 
 
 def tick_at(time_s: float) -> int:
     """Return the tick within the day for a time on any clock, such as the clock of a log or a
-    computer.
-    """
+    computer."""
     return round(time_s * RATE_HZ) % DAY
 
 
@@ -94,8 +92,7 @@ class Log(NamedTuple):
     @property
     def columns(self) -> tuple[AnyArray, ...]:
         """Columns that every log file has after the time, ``(rows,)`` each: command angle, command
-        velocity, angle, velocity, force x and force y.
-        """
+        velocity, angle, velocity, force x and force y."""
         _, angle, velocity, force = self.reading
         return (*self.command, angle, velocity, *np.moveaxis(np.asarray(force), -1, 0))
 
@@ -120,8 +117,7 @@ ALLOWED_LIMITS = (
 
 class Limits(NamedTuple):
     """Range of the commands that a plant accepts; `problem` checks whether the range is plausible
-    for a fin.
-    """
+    for a fin."""
 
     angle_min: float
     angle_max: float
@@ -138,8 +134,7 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, description: object) -> "Limits":
         """Build from the result of `to_dict`; raises ValueError with the allowed values if it is
-        invalid.
-        """
+        invalid."""
         values = []
         for name in cls(0, 0, 0, 0).to_dict():
             value = description.get(name) if isinstance(description, dict) else None
@@ -161,8 +156,7 @@ class Limits(NamedTuple):
 
     def problem(self) -> str | None:
         """Describe the problem with these limits and the allowed values; None if they are plausible
-        for a fin. Both velocities are equal for a drive without a velocity command.
-        """
+        for a fin. Both velocities are equal for a drive without a velocity command."""
         named = self.to_dict()
         for name, value in named.items():
             low, high = (

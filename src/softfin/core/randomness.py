@@ -21,8 +21,7 @@ def named_key(seed: int, name: str) -> PRNGKeyArray:
 
 def named_generator(seed: int, name: str) -> np.random.Generator:
     """Return the NumPy generator for a purpose; as in JAX, only the lowest 32 bits of the seed are
-    used.
-    """
+    used."""
     return np.random.default_rng([seed % 2**32, zlib.crc32(name.encode())])
 
 

@@ -24,8 +24,7 @@ CONFIDENCE = 0.95
 
 FEWEST = 3
 """Minimum number of samples for an interval of the mean; with two samples, the interval is 12.7
-times as wide as their difference.
-"""
+times as wide as their difference."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:

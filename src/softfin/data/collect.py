@@ -39,14 +39,12 @@ class CollectConfig(Configuration):
     """Seed of the commands and of all randomness in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
     """Maximum number of logs simulated in parallel. A larger number is faster, but each log needs
-    about 30 bytes of memory per row.
-    """
+    about 30 bytes of memory per row."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Random commands."""
     channels: bool = False
     """Whether the logs of a simulated plant also contain its additional channels, such as torque
-    and current in the virtual tank. Logs of a real fin always contain all measured channels.
-    """
+    and current in the virtual tank. Logs of a real fin always contain all measured channels."""
 
 
 def collect_logs(
@@ -99,8 +97,7 @@ def collect_logs(
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
     """Replace the time with exact multiples of 10 ms in float64; raises PlantError if the plant
-    returns invalid times or readings.
-    """
+    returns invalid times or readings."""
     for index, log in enumerate(logs):
         name = f"{part}/{index:0{DATASET_PARTS[part]}d}"
         for field, values in zip(log.reading._fields, log.reading, strict=True):

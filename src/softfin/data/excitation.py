@@ -24,12 +24,10 @@ class ExcitationConfig(Configuration):
 
     hold_min_s: float = pydantic.Field(default=0.2, gt=0, multiple_of=TICK_S)
     """Minimum hold time [s], a multiple of 10 ms. The default is below the 0.33 s of a 3 Hz
-    controller, so that the data contain strokes that are cut short.
-    """
+    controller, so that the data contain strokes that are cut short."""
     hold_max_s: float = pydantic.Field(default=1.5, gt=0, multiple_of=TICK_S)
     """Maximum hold time [s], a multiple of 10 ms. Most strokes end earlier, so the data also
-    contain the fin at rest.
-    """
+    contain the fin at rest."""
 
     @pydantic.model_validator(mode="after")
     def _in_order(self) -> "ExcitationConfig":
@@ -41,8 +39,7 @@ class ExcitationConfig(Configuration):
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
         """Draw one command per tick, fields ``(rows,)``; angle, velocity and hold time are
-        uniformly distributed.
-        """
+        uniformly distributed."""
         shortest = round(self.hold_min_s * RATE_HZ)
         longest = round(self.hold_max_s * RATE_HZ)
         # Enough commands even if all hold times are the minimum; the number must be static for JAX.

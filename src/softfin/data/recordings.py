@@ -58,8 +58,7 @@ class OpenedLogs:
 
     def check_issues(self, source: str) -> None:
         """Raise LogError with the first error that is not ignored by name, and the number of
-        further errors.
-        """
+        further errors."""
         errors = self.remaining_errors()
         if not errors:
             return
@@ -91,8 +90,7 @@ def options_file(path: Path) -> Path:
 
 def _saved_options(path: Path, given: ImportConfig | None, dataset: Dataset | None) -> ImportConfig:
     """Return the options saved next to the recordings, overridden by the given options. Errors that
-    were ignored when a dataset was imported remain ignored.
-    """
+    were ignored when a dataset was imported remain ignored."""
     saved = ImportConfig()
     file = options_file(path)
     if dataset is not None:
@@ -180,8 +178,7 @@ def _refusal(error: LogError, name: str) -> Issue:
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
     """Assign each file to training or test, by the pattern or by whether its name starts with
-    test.
-    """
+    test."""
     parts: dict[str, Part] = {}
     for name in names:
         *folders, last = name.split("/")

@@ -20,8 +20,7 @@ from softfin.data.excitation import Commands
 
 CHUNK_ROWS = 1000
 """Approximate number of rows per call of the compiled program; progress is reported after each
-call. The overhead of a call is negligible for 10 s of plant time.
-"""
+call. The overhead of a call is negligible for 10 s of plant time."""
 
 ReportRows = Callable[[int], None]
 """Function that is called with the number of rows finished since the last call."""

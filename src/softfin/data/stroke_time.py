@@ -1,6 +1,5 @@
 """Stroke time of a fin: the time that its shaft takes to reach a new commanded angle, estimated
-from logs.
-"""
+from logs."""
 
 from collections.abc import Sequence
 
@@ -12,14 +11,12 @@ ARRIVED = 0.9
 """Fraction of the way to a commanded angle at which a stroke is treated as finished."""
 MIN_STROKE_RAD = 0.3
 """Minimum change of angle that is treated as a stroke [rad]; smaller moves end before the drive has
-accelerated.
-"""
+accelerated."""
 MIN_STROKES = 10
 """Minimum number of strokes for a median."""
 SHORTEST_PERCENT = 1
 """Percentile of the time between two commands that is used as the minimum, because a few commands
-may follow each other by accident.
-"""
+may follow each other by accident."""
 
 
 def stroke_time(logs: Sequence[Log]) -> float | None:

@@ -24,8 +24,7 @@ _Handlers: TypeAlias = dict[int, Callable[[int, FrameType | None], object] | int
 
 PATIENCE_S = 2.0
 """Time within which a second signal must not interrupt the stop started by the first [s], because
-people press Ctrl-C twice.
-"""
+people press Ctrl-C twice."""
 
 
 class StopRequest:

@@ -56,8 +56,7 @@ def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) 
 
 def divide(cell: Cell, columns: int, rows: int) -> Cells:
     """Divide a cell into equal cells, `columns` along x and `rows` along y; they are ordered by x,
-    then y.
-    """
+    then y."""
     # The edge arrays are shared so that neighbours have exactly the same edge.
     xs = np.linspace(cell.low[0], cell.high[0], columns + 1).tolist()
     ys = np.linspace(cell.low[1], cell.high[1], rows + 1).tolist()

@@ -31,8 +31,7 @@ ReferenceSamples = Float[np.ndarray, "ticks 2"]
 
 CLOCK_S = 1e-6
 """Maximum distance from a tick at which a time is assigned to the tick [s]; needed because sums of
-decimal fractions are rarely exact.
-"""
+decimal fractions are rarely exact."""
 
 REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newtons", "force_y_n": "newtons"}
 """Columns of a reference file, with their units."""
@@ -46,8 +45,7 @@ MAX_REFERENCE_ROWS = 360_000
 
 class Recorded(Configuration):
     """Forces that start at given times. Each is held until the next one without interpolation, and
-    the last is held forever.
-    """
+    the last is held forever."""
 
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
     """Start time of each force [s], increasing from 0."""
@@ -75,8 +73,7 @@ class Recorded(Configuration):
     @property
     def seconds(self) -> int:
         """Duration in full seconds, assuming that the last force lasts as long as the previous
-        one.
-        """
+        one."""
         last = self.time_s[-1]
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
         # last + (last - before), rounded up
@@ -102,8 +99,7 @@ def step(start_n: ForceVector, to_n: ForceVector, at_s: float | int = 10.0) -> R
 
 def read_reference_file(path: Path) -> Recorded:
     """Read a reference over time; raises ConfigurationError with the row, the problem and the fix
-    if the file is invalid.
-    """
+    if the file is invalid."""
     check_reference_file(path)
     source = f"--reference-file {path}"
     try:

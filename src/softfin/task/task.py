@@ -37,8 +37,7 @@ MIN_WIDTH_RAD_S = 1e-6
 
 FORCE_BLOCKS = 8
 """Number of window blocks whose mean forces the critic observes; they reveal which forces are about
-to leave the window.
-"""
+to leave the window."""
 
 
 class RewardTerms(NamedTuple):
@@ -64,8 +63,7 @@ class RewardConfig(Configuration):
     0.14 with mean."""
     sobolev: Literal["sum", "mean"] = "sum"
     """Form of the Sobolev term: the square root of the sum (as in the paper) or of the mean of
-    squared steps.
-    """
+    squared steps."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
         """Return the reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
@@ -79,14 +77,12 @@ class TaskConfig(Configuration):
 
     past_actions: int = Field(default=3, ge=0)
     """Number k of observed actions before the last one; k = 3 results in observations of size 11.
-    The paper does not state k.
-    """
+    The paper does not state k."""
     clock: ActionClock = PAPER_CLOCK
     """Durations of the actions, and the window for the mean force and the Sobolev term."""
     episode_actions: PositiveInt = 90
     """Number of actions until the episode is truncated, a multiple of the clock cycle; 90 actions
-    correspond to 30 s, as in the paper.
-    """
+    correspond to 30 s, as in the paper."""
     reference_actions: PositiveInt = 90
     """Number of actions until a new reference is drawn."""
     force_scale_n: PositiveFloat = 3.0
@@ -115,8 +111,7 @@ class TaskConfig(Configuration):
 
     def scaled(self, size: float) -> "TaskConfig":
         """Return the task for a fin of a different size, relative to the paper's fin; the
-        magnitudes of observations and rewards stay the same.
-        """
+        magnitudes of observations and rewards stay the same."""
         x, y = self.reward.weight
         values = {
             "force_scale_n": self.force_scale_n * size,
@@ -138,8 +133,7 @@ class TaskState(NamedTuple):
     """Past actions, most recent first."""
     forces: ForceWindow
     """Last force readings [N], newest last; only the last `samples` readings were recorded since
-    the reset.
-    """
+    the reset."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
     """Number of actions since the reset."""
@@ -186,8 +180,7 @@ class ForceTracking:
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
         """Return the observation with privileged information: the forces in the window, the
-        fraction of the window that is valid, and the clock.
-        """
+        fraction of the window that is valid, and the clock."""
         scale = self.config.force_scale_n
         # Means per block, scaled so that their mean is the mean over the valid samples; the zeros
         # in a window that is not yet full must not count.
@@ -238,8 +231,7 @@ class ForceTracking:
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
         """Return whether the episode is over. It is truncated, not terminated, because the fin
-        could continue.
-        """
+        could continue."""
         return state.age >= self.config.episode_actions
 
 

@@ -41,13 +41,11 @@ RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 
 MIN_FOLLOWING = 0.5
 """Minimum correlation between the angle and its command at which their lag is considered known;
-good logs have at least 0.75.
-"""
+good logs have at least 0.75."""
 
 MAX_LAG_CHANGE_TICKS = 3
 """Maximum plausible difference between the lags in the first and last third of a log, or between
-the lags of the two forces [10 ms]; good logs have 0 or 1.
-"""
+the lags of the two forces [10 ms]; good logs have 0 or 1."""
 
 FOLLOWING_TICKS = 15
 """Delay after which the angle is compared with its command [10 ms]."""
@@ -101,8 +99,7 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ForceLag:
     """Lag from angle to force, and the share of the force that a linear model of the motion
-    explains.
-    """
+    explains."""
 
     force_lag_ms: float | None = None
     """Best lag within 0.2 s [ms]; None if unknown."""
@@ -159,8 +156,7 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
 
 def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[np.ndarray, "lags"]:
     """Return the share of the force variance that a linear model of the motion explains for each
-    lag from -ticks to ticks.
-    """
+    lag from -ticks to ticks."""
     heading, rate, acceleration = _motion(angle)
     # Added mass, drag, thrust, damping and a constant, each in both components, which rotate with
     # the fin.
@@ -216,8 +212,7 @@ class Orientation:
     """Correlation in each of `FORCE_FRAMES`; None if unknown."""
     turn_deg: int = 0
     """Counterclockwise rotation of the recorded force for the best fit [degrees], in steps of 5
-    from -45 to 45.
-    """
+    from -45 to 45."""
     frame: str = "x,y"
     """Frame with the best fit after this rotation."""
     correlation: float = 0.0
@@ -226,8 +221,7 @@ class Orientation:
     """Maximum correlation if the sensor turns with the shaft."""
     is_shaft_reversed: bool = False
     """Whether the sensor then seems to turn in the opposite direction, because the angle has the
-    wrong sign.
-    """
+    wrong sign."""
 
 
 def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
@@ -258,8 +252,7 @@ def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
 
 def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]:
     """Return the correlation between the force in each of `FORCE_FRAMES` and the best fit of a
-    model fin.
-    """
+    model fin."""
     heading, rate, acceleration = _motion(angle)
     speed = np.abs(rate)
     # Drag, added mass, quadratic thrust and linear thrust.
@@ -283,7 +276,6 @@ def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]
 
 def _motion(angle: LogSeries) -> tuple[ForceSeries, LogSeries, LogSeries]:
     """Return the direction of thrust as a complex number, and the rate [rad/s] and acceleration
-    [rad/s^2] of the fin.
-    """
+    [rad/s^2] of the fin."""
     rate = measure_rate(angle)
     return np.exp(-1j * smoothed(angle)), rate, measure_rate(rate)

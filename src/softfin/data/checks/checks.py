@@ -56,45 +56,38 @@ USUAL_LAG_MS = 30.0
 
 MIN_FRAME_CORRELATION = 0.2
 """Minimum plausible correlation between the force and a model fin in the best axes; the noisiest
-log of the published networks has 0.31.
-"""
+log of the published networks has 0.31."""
 
 MIN_REACH_RAD = 0.06
 """Range below which an angle that is read as degrees must be in radians [rad]."""
 
 MIN_TURN_DEG = 15
 """Minimum rotation of the force axes that is reported [degrees]; in good logs, the best axes are
-rotated by up to 10 degrees.
-"""
+rotated by up to 10 degrees."""
 
 MAX_REST_ERROR_DEG = 4.0
 """Maximum plausible difference between the angle and its command while the fin is at rest
-[degrees].
-"""
+[degrees]."""
 
 REST_SLOPES = (0.8, 1.25)
 """Plausible slopes of the angle against its command while the fin is at rest."""
 
 SHAFT_GAIN = 0.03
 """Increase in correlation above which the sensor is reported to turn with the shaft; in good logs,
-the correlation decreases.
-"""
+the correlation decreases."""
 
 OFFSET_SHARE = 0.2
 """Maximum plausible mean force of the fin at rest, divided by the standard deviation of the
-force.
-"""
+force."""
 
 DRIFT_SHARE = 0.7
 """Maximum plausible drift of a force over a log, divided by its standard deviation; good logs of 60
 s have up to 0.56. In logs under 50 s, random motion adds to the drift, so twice this value is
-plausible.
-"""
+plausible."""
 
 MIN_ROUGHNESS = 0.3
 """Minimum plausible ratio of the third to the first differences of the force. Good logs have 0.5 to
-2.5; after a 2 Hz low-pass filter, they have 0.01 to 0.25.
-"""
+2.5; after a 2 Hz low-pass filter, they have 0.01 to 0.25."""
 
 FIN_LENGTHS_M = (0.03, 1.0)
 """Plausible range of the fin length estimated from the size of the forces [m]."""
@@ -105,8 +98,7 @@ VELOCITY_UNITS = ("deg/s", "rpm", "rad/s", "turn/s", "dynamixel")
 TEN_BIT_RATIOS = (0.3, 0.145)
 """Ratios of the speed to the commanded velocity if 10-bit registers (XL-320, AX) were read as
 X-series registers: 1,023 counts are 300 degrees, not 90, and a velocity of 1 is 0.111 rpm, not
-0.229.
-"""
+0.229."""
 
 FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
 MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
@@ -231,8 +223,7 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
 
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
     """Find jumps of the angle that are too fast for a fin; they indicate two joined logs or an
-    encoder that lost count.
-    """
+    encoder that lost count."""
     steps = np.abs(np.diff(log.calm.angle))
     # 200 rad/s; jumps in the logs of the published networks reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
@@ -466,8 +457,7 @@ def check_rest(log: CheckedLog) -> Iterator[Issue]:
 
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     """Find swapped, negated or rotated force axes, a sensor that turns with the shaft, and a force
-    that is unrelated to the motion.
-    """
+    that is unrelated to the motion."""
     found = log.statistics
     is_angle_mirrored = found.following < -0.3 and found.frame == "x,-y"
     if found.frames is None or is_clock_off(found) or is_angle_mirrored:
@@ -520,8 +510,7 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
 
 def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
     """Return the option for a frame, and other options that may fix a force that fits this frame
-    after a rotation.
-    """
+    after a rotation."""
     option = f"--force={compose_frames(config.force, frame)}"
     turn = FRAME_TURNS.get(frame, 0) + turn_deg
     mirrored = ""
@@ -554,8 +543,7 @@ def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
 
 def is_clock_off(found: LogStatistics) -> bool:
     """Return whether only a lag beyond 0.2 s explains the force. In good logs of at least 10 s, a
-    lag beyond 0.2 s explains at most 3% more than one within 0.2 s, by chance.
-    """
+    lag beyond 0.2 s explains at most 3% more than one within 0.2 s, by chance."""
     return found.far_share > found.force_share + 0.1
 
 
@@ -647,8 +635,7 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
 
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     """Find a dataset without test logs, and training commands that exclude angle 0 or cover too
-    little of their own range.
-    """
+    little of their own range."""
     if not any(one.part == "test" for one in logs):
         fix = "select some with --test PATTERN, or put them into a folder named test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)

@@ -34,8 +34,7 @@ from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 POOLED = 100
 """Maximum number of logs that are checked together if each log is too short to estimate signs, axes
-and lags.
-"""
+and lags."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,8 +46,7 @@ class Inspection:
 
     def summary(self) -> JsonObject:
         """Return a summary of all logs: amount of data, columns, lags [ms], frame correlations,
-        ranges of additional channels, and number of issues.
-        """
+        ranges of additional channels, and number of issues."""
         frames = _mean_frames(self.logs)
         columns = {}
         for issue in self.issues:

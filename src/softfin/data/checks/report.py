@@ -52,8 +52,7 @@ def write_inspection(
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
     """Draw the log section around the most severe issue that has a row, and the clocks and force
-    axes of all logs.
-    """
+    axes of all logs."""
     with styled():
         figure = new_figure(13, 8.4)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))

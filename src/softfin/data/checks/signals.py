@@ -1,6 +1,5 @@
 """Statistics of channels: invalid samples, frozen, clipped and filtered values, drift and
-scales.
-"""
+scales."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -10,8 +9,7 @@ from softfin.data.checks.alignment import MIN_ALIGNED_S, ForceSeries, LogSeries,
 
 SINGLE_SAMPLE = np.array([0, 0, 0, 0, -0.5, 1, -0.5, 0, 0, 0, 0])
 """Second differences around a single invalid sample, divided by the second difference at the
-sample.
-"""
+sample."""
 
 
 def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
@@ -57,8 +55,7 @@ def without_spikes(values: LogSeries) -> LogSeries:
 
 def frozen_runs(values: LogSeries) -> list[tuple[int, int]]:
     """Return the runs of at least a second in which a channel changes by at most one count, the
-    smallest usual step, in either direction.
-    """
+    smallest usual step, in either direction."""
     steps = np.abs(np.diff(values))
     count = float(np.percentile(steps[steps > 0], 1)) if steps.any() else 0.0
     # One count of a coarse channel is not small.
@@ -95,8 +92,7 @@ def repeated_share(values: LogSeries | ForceSeries, moving: Bool[np.ndarray, "ti
 
 def drift(force: LogSeries) -> float:
     """Return the change of a force over the log: ten times the slope of the medians of ten equal
-    parts.
-    """
+    parts."""
     medians = [float(np.median(part)) for part in np.array_split(force, 10)]
     return 10 * float(np.polyfit(range(10), medians, 1)[0])
 
@@ -116,8 +112,7 @@ def velocity_ratio(angle: LogSeries, velocity: LogSeries) -> tuple[float, float]
 
 def speed_ratio(command: LogSeries, velocity: LogSeries, angle: LogSeries) -> float | None:
     """Return the median ratio of the speed to the commanded velocity while the fin moves steadily
-    and is more than 0.1 rad from its target; None for less than half a second of such motion.
-    """
+    and is more than 0.1 rad from its target; None for less than half a second of such motion."""
     rate = measure_rate(angle)
     speed = np.abs(rate)
     # Steady: the speed would take more than 0.1 s to change by itself.
@@ -130,7 +125,6 @@ def speed_ratio(command: LogSeries, velocity: LogSeries, angle: LogSeries) -> fl
 
 def fin_length(angle: LogSeries, force: ForceSeries) -> float:
     """Estimate the length of a fin in water [m]: the force is about density * length^4 * rate^2.
-    For fins of 0.1 to 0.5 m in the virtual tank, the error is within 20%.
-    """
+    For fins of 0.1 to 0.5 m in the virtual tank, the error is within 20%."""
     motion = 1000.0 * (measure_rate(angle) ** 2).mean()
     return float(1.15 * (force.std() / max(motion, 1e-9)) ** 0.25)

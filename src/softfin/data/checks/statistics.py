@@ -27,8 +27,7 @@ from softfin.data.importing.clocks import NamedLog, Part
 
 MAX_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi}
 """Magnitudes above which values must be in degrees, because a fin never makes a full turn. A large
-measured velocity proves nothing: jumps in the logs of the published networks reach 145 rad/s.
-"""
+measured velocity proves nothing: jumps in the logs of the published networks reach 145 rad/s."""
 
 MAX_DEGREES = 360.0
 """Magnitude above which an angle must be in encoder counts, not in degrees."""

@@ -42,8 +42,7 @@ TURN_TOLERANCE_RAD = 0.5
 
 EARLY_S = 1e-6
 """Maximum deviation at which a time stamp is treated as on time [s]: the resolution of Unix times
-in double precision.
-"""
+in double precision."""
 
 Span = tuple[float, float]
 """Start and end of a piece between two gaps [s]."""
@@ -61,8 +60,7 @@ class Track(NamedTuple):
     """Time as recorded [s]; it may repeat, jump or be NaN."""
     channels: Channels
     """Values in SI units and in softfin's axes; missing values are NaN. Additional channels have
-    their column names from log files.
-    """
+    their column names from log files."""
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
         """Return a track with the selected rows."""
@@ -135,8 +133,7 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
     """Split a recording at each place where the clock of every track goes back by more than a
-    second; a new log starts there.
-    """
+    second; a new log starts there."""
     split = []
     for track in recording.tracks:
         restarts = np.flatnonzero(np.diff(track.time) < -1.0) + 1
@@ -156,8 +153,7 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
 
 def _split_further(track: Track) -> tuple[Track, list[Track]]:
     """Split a track into the channels of every log and one track per additional channel, so that
-    values missing in the latter cost no rows of the log.
-    """
+    values missing in the latter cost no rows of the log."""
     needed = {}
     further = []
     for name, values in track.channels.items():
@@ -174,8 +170,7 @@ def _split_further(track: Track) -> tuple[Track, list[Track]]:
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
     """Drop rows with missing values and rows whose time repeats or goes back, and check the rate of
-    the remaining rows.
-    """
+    the remaining rows."""
     finite, rows, issues = _finite_rows(track, name, config)
     is_command = track.channels.keys() <= COMMAND_CHANNELS
     # A single command is enough, because it is valid until the next one.
@@ -248,8 +243,7 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
 
 def _check_digits(track: Track, valid: Track, name: str) -> None:
     """Raise LogError if a clock has so few digits that most rows share their time with a different
-    row.
-    """
+    row."""
     num_times = len(valid.time)
     if num_times > 1:
         step_s = float(np.median(np.diff(valid.time)))
@@ -428,8 +422,7 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
 
 def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
     """Return the rows unchanged if all tracks share a clock that is valid for a log; otherwise
-    None.
-    """
+    None."""
     time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
     try:
         check_columns({"time_s": time}, "")
@@ -446,8 +439,7 @@ def _further_channels(
     config: ImportConfig,
 ) -> tuple[dict[str, Float[np.ndarray, "ticks"]], list[Issue]]:
     """Return the additional channels at the times of a log, and a warning for each channel with
-    gaps.
-    """
+    gaps."""
     channels = {}
     issues = []
     for track in tracks:

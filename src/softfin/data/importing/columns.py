@@ -48,8 +48,7 @@ class Column(NamedTuple):
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
     """Find the column of each channel; raises LogError, with the option to use, if the choice is
-    ambiguous for a channel of every log.
-    """
+    ambiguous for a channel of every log."""
     own = [name for name in OWN_NAMES if name in names and OWN_NAMES[name] not in config.columns]
     found = {OWN_NAMES[name]: name for name in own}
     found |= _mapped_columns(names, config, source)
@@ -154,8 +153,7 @@ def _recognized_columns(
 
 def _channel_and_unit(name: str) -> tuple[str, bool]:
     """Return the channel for a column name (empty if there is none), and whether its unit is
-    known.
-    """
+    known."""
     read = read_name(name)
     if read is not None:
         channel, unit = read
@@ -193,8 +191,7 @@ def _missing_error(
 
 def _preferred_velocities(names: list[str]) -> list[str]:
     """Prefer profile velocities; a goal velocity next to a profile velocity is for the velocity
-    mode of the drive.
-    """
+    mode of the drive."""
     profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
     return profiles or names
 

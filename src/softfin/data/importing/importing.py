@@ -13,8 +13,7 @@ from softfin.data.importing.names import KINDS, UNITS, Channel, FurtherChannel
 
 NO_COLUMN = "-"
 """Value of --columns for a channel that is not in the file, even if a column name seems to
-match.
-"""
+match."""
 
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 
@@ -37,8 +36,7 @@ class ImportConfig(Configuration):
 
     columns: Annotated[dict[Channel, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Columns of channels, e.g. ``angle=position,force_x=Fx``; ``-`` for none (default: by
-    name).
-    """
+    name)."""
     topics: Annotated[dict[Topic, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
     command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
@@ -52,8 +50,7 @@ class ImportConfig(Configuration):
     """Unit of the time column (default: from the column name, or s)."""
     angles: Annotated[dict[AngleChannel, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Units of angles, e.g. ``deg`` or ``command_angle=deg,command_velocity=rpm`` (default: by
-    name, or rad).
-    """
+    name, or rad)."""
     angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
     """Value of the angle columns at softfin's angle 0, in their unit, e.g. 180."""
     force_unit: ForceUnit | None = None

@@ -22,8 +22,7 @@ Channel = Literal[LogChannel, FurtherChannel]
 
 CHANNELS: tuple[str, ...] = get_args(LogChannel)
 """Channels of every log. A recording may lack the velocity, and also the time and the commanded
-velocity if options set them.
-"""
+velocity if options set them."""
 
 FURTHER: dict[str, str] = dict(
     zip(get_args(FurtherChannel), (*LOAD_CHANNELS, CURRENT_CHANNEL), strict=True)
@@ -106,8 +105,7 @@ SPELLINGS = {
     "mA": "ma milliamp milliamps milliampere milliamperes",
 }
 """Lowercase spellings of each unit. Spellings of velocity units are generated from a spelling of
-the angle, a slash and a spelling of the second.
-"""
+the angle, a slash and a spelling of the second."""
 
 COMMAND_WORDS = {
     "command",
@@ -126,8 +124,7 @@ COMMAND_WORDS = {
 }
 """Words that mark an angle or a velocity as commanded. Without an angle or velocity word, they mean
 the commanded angle, or the commanded velocity if the unit is a velocity unit. "ref" and "reference"
-are exceptions, because they could also mean the reference force.
-"""
+are exceptions, because they could also mean the reference force."""
 
 PHRASES = {
     "time": ["time", "t", "timestamp", "stamp", "time stamp", "datetime", "date time"],
@@ -157,8 +154,7 @@ PHRASES = {
     "current": ["current"],
 }
 """Names of each channel; the words may be in any order. A name with one of `COMMAND_WORDS` means
-the commanded channel.
-"""
+the commanded channel."""
 
 NEUTRAL_WORDS = {
     "actual",

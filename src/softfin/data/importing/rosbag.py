@@ -69,16 +69,14 @@ MAX_LISTED_TOPICS = 12
 
 MAX_CLOCK_OFFSET_S = 1800.0
 """Maximum difference between the clocks of two topics [s]. Time zones differ by more than this, and
-clocks that start at 0 with the computer or a simulation are decades behind.
-"""
+clocks that start at 0 with the computer or a simulation are decades behind."""
 
 MAX_DISORDER_S = 1.0
 """Maximum backward step of the time stamps that is treated as messages out of order [s]."""
 
 MIN_DISAGREEMENT_RAD = 0.05
 """Minimum jump that indicates a second publisher [rad]; in 10 ms, a fin at 3 Hz deviates less from
-a straight line.
-"""
+a straight line."""
 
 MIN_DISAGREEMENTS = 10
 """Minimum number of such jumps that indicates a second publisher."""
@@ -147,8 +145,7 @@ def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None
 
 def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
     """Merge topics with identical time stamps into one track, so that they need not be
-    resampled.
-    """
+    resampled."""
     first, *others = tracks
     merged: Channels = dict(first.channels)
     separate = []
@@ -164,8 +161,7 @@ def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
 
 def _channel_topics(contents: BagContents, config: ImportConfig) -> dict[str, str]:
     """Return the topics of additional channels: the current and the topics of softfin's own bags,
-    if present.
-    """
+    if present."""
     topics = {}
     # Every softfin bag has a topic for the current, but not every drive measures it.
     if "current" in config.topics or contents.messages[CURRENT]:
@@ -291,8 +287,7 @@ def _reasons(dropped: Counter[str]) -> str:
 
 def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -> str:
     """Return the joint to read, by default the only one with positions; raises LogError if it does
-    not exist or there are several.
-    """
+    not exist or there are several."""
     joints: dict[str, None] = {}
     for message, content in decoded:
         if message.kind == JOINT_STATE:
@@ -436,8 +431,7 @@ def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: P
 
 def _read_zeros(contents: BagContents) -> list[tuple[float, RestForce]]:
     """Return the time [s] and value [N] of each rest force measured by softfin during the
-    recording.
-    """
+    recording."""
     zeros = []
     for message, content in _decoded(contents.messages[EVENTS], (STRING,), Counter()):
         zero = parse_zero(content.data)
@@ -450,8 +444,7 @@ def _less_zero(
     force: Track, zeros: list[tuple[float, RestForce]], config: ImportConfig, name: str
 ) -> tuple[Track, list[Issue]]:
     """Subtract the measured rest forces: a bag contains the raw force, whereas the controller and
-    the logs of the session use the force after subtraction.
-    """
+    the logs of the session use the force after subtraction."""
     if not zeros:
         return force, []
     x, y = zeros_at(zeros, force.time).T
@@ -468,8 +461,7 @@ def _less_zero(
 
 def _values(kind: str, message: Any, joint: str) -> tuple[float, ...]:
     """Return (angle, velocity), or the force and torque, in a message; raises UnusableError if
-    there are none. A missing velocity is NaN.
-    """
+    there are none. A missing velocity is NaN."""
     if kind in (ARRAY, FLOAT):
         numbers = np.atleast_1d(message.data).tolist()
         if len(numbers) not in (1, 2):

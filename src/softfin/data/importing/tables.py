@@ -32,8 +32,7 @@ HALF_DAY_S = 43_200.0
 
 MAX_MISSING_SHARE = 0.1
 """Share of missing values above which a table is treated as merged from several sources, each with
-its own rows.
-"""
+its own rows."""
 
 
 MISSING = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
@@ -45,8 +44,7 @@ GROUPED = r"^[-+]?[1-9]\d{0,2}(?:,\d{3})+$"
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """Read the logs in one file; raises LogError if the file is not such a table or a channel is
-    missing.
-    """
+    missing."""
     is_text = path.suffix.lower() in CSV
     table = read_text_table(path, name) if is_text else _read_parquet(path)
     found = choose_columns(list(dict.fromkeys(table.names)), config, str(path))
@@ -96,8 +94,7 @@ def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> lis
 
 def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
     """Group the channels of a table by the rows in which they have values; in a table merged from
-    several sources, each row has values of one source only.
-    """
+    several sources, each row has values of one source only."""
     groups: dict[bytes, Channels] = {}
     fewest = len(table.time)
     for channel, values in table.channels.items():
@@ -143,8 +140,7 @@ def _read_column(
     table: Table, channel: str, column: Column, path: Path
 ) -> tuple[Float[np.ndarray, "rows"], Column]:
     """Return the numbers in a column, and the column with the unit of its data type, if there is
-    one.
-    """
+    one."""
     if table.names.count(column.name) > 1:
         raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
     values = table.columns[table.names.index(column.name)]
@@ -177,8 +173,7 @@ def _read_column(
 
 def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], source: str) -> None:
     """Raise LogError if many cells are neither numbers nor missing, or if commas may separate
-    thousands.
-    """
+    thousands."""
     is_missing = pc.match_substring_regex(values, MISSING)
     is_other = np.isnan(numbers) & ~np.asarray(pc.fill_null(is_missing, True))
     has_comma = np.asarray(pc.fill_null(pc.match_substring(values, ","), False))
@@ -256,8 +251,7 @@ def _notes(
     config: ImportConfig,
 ) -> list[Issue]:
     """Return notes on the columns and units that were used, unless the names are softfin's own, and
-    on unused options and columns.
-    """
+    on unused options and columns."""
     texts = []
     fix = ""
     if described := describe_columns(found):

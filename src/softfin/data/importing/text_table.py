@@ -122,8 +122,7 @@ def _decode(data: bytes) -> str:
 
 def _is_cut(body: str) -> bool:
     """Return whether the last line ends within a number: it has fewer digits than the lines above,
-    which all have the same number.
-    """
+    which all have the same number."""
     lines = body[-1000:].split("\n")[-9:]
     *above, last = [len(re.split("[.,]", line)[-1]) for line in lines]
     return 0 < last < min(above, default=0) == max(above, default=0)
@@ -150,8 +149,7 @@ def _find_layout(text: str, path: Path) -> _Layout:
 
 def _layout(lines: list[str], delimiter: str) -> _Layout | None:
     """Return the layout for a delimiter: a header above the first row of numbers, with the same
-    number of cells.
-    """
+    number of cells."""
     above: list[list[str]] = []
     num_above = 0
     for index, line in enumerate(lines):
@@ -190,8 +188,7 @@ def _is_number(cell: str) -> bool:
 
 def _name_score(cells: list[str]) -> int:
     """Return the number of cells that are channel names, minus the number of cells that are
-    units.
-    """
+    units."""
     num_names = sum(cell in OWN_NAMES or read_name(cell) is not None for cell in cells)
     return num_names - sum(map(_is_unit, cells))
 
