@@ -1,6 +1,6 @@
-"""Finds architectures of surrogates by name: softfin's own, or ``package.module:ARCHITECTURE``.
+"""Finds surrogate architectures by name: softfin's own, or ``package.module:ARCHITECTURE``.
 
-An architecture is imported on first use, so naming softfin's own needs no JAX.
+An architecture is imported on first use, so the names are available without JAX.
 """
 
 from typing import TYPE_CHECKING
