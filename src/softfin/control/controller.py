@@ -136,8 +136,8 @@ class LoadedController:
         """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:
-            RunError: a measurement or the reference is not finite (not checked under JAX), or has a
-                different shape.
+            RunError: if a measurement or the reference is not finite (not checked under JAX), or
+                has a different shape.
         """
         try:
             angle, force = measured

@@ -66,8 +66,8 @@ def train_policies(
     there is one.
 
     Raises:
-        ConfigurationError: the fin can reach none of the references.
-        RunError: a loss or a force is not finite, or the disk is full.
+        ConfigurationError: if the fin can reach none of the references.
+        RunError: if a loss or a force is not finite, or the disk is full.
     """
     limits = Limits(*map(float, plant.limits))
     cells = training_cells(config, reachable)

@@ -17,7 +17,7 @@ class DriveType(Generic[Settings]):
     """A type of drive."""
 
     config: type[Settings]
-    """Class of its configuration."""
+    """Configuration class of the device."""
     make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
     """Function that creates a drive from its configuration, the CAN bus of the rig, the computer,
     and a function to call immediately, from any thread, when the drive reports a fault."""
@@ -28,6 +28,6 @@ class ForceSensorType(Generic[Settings]):
     """A type of force sensor."""
 
     config: type[Settings]
-    """Class of its configuration."""
+    """Configuration class of the device."""
     make: Callable[[Settings, Computer], StreamedSensor]
     """Function that creates a sensor from its configuration and the computer."""

@@ -39,7 +39,7 @@ def doctor() -> Iterator[CheckResult]:
         Each result as soon as it is available; the home folder of the user is shortened to ~.
 
     Raises:
-        RunError: A check has failed.
+        RunError: If a check has failed.
     """
     home = os.environ.get("HOME", "/")
     for result in failing(_examine(), RunError):

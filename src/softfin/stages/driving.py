@@ -237,7 +237,7 @@ def run(
         Path of the recording, and the errors over its last window.
 
     Raises:
-        SafetyStop: The fin was stopped.
+        SafetyStop: If the fin was stopped.
     """
     if (reference is None) == (reference_file is None):
         raise ConfigurationError("use either --reference=X,Y or --reference-file FILE")
@@ -304,7 +304,7 @@ def ros2(
         Path of the recording, and the errors over its last window.
 
     Raises:
-        SafetyStop: The fin was stopped.
+        SafetyStop: If the fin was stopped.
     """
     from softfin.rig.ros2.node import RosNode, default_reference_limit
     from softfin.rig.ros2.plant import Ros2Machine, open_transport

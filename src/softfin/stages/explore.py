@@ -38,7 +38,7 @@ def explore(
         Size and parts of the page.
 
     Raises:
-        PlantError: The page cannot simulate a plant, or it cannot follow a controller's commands.
+        PlantError: If the page cannot simulate a plant, or a plant cannot follow a controller.
 
     Example:
         >>> softfin.explore("gaits", "single", out="explore.html", plant=("tank", "surrogate"))

@@ -72,7 +72,7 @@ def check(
         The results, each as soon as it is available; the proof with `prove`.
 
     Raises:
-        DeviceError: A check has failed, or the drive does not stop by itself.
+        DeviceError: If a check has failed, or the drive does not stop by itself.
     """
     if moving and not prove:
         raise ConfigurationError("--moving: is part of the proof; add --prove")
@@ -119,7 +119,7 @@ def stop(*, rig: Annotated[PathLike, FILE] = RIG_FILE) -> Result:
         Confirmation that the motor is off.
 
     Raises:
-        DeviceError: The drive did not confirm that its motor is off.
+        DeviceError: If the drive did not confirm that its motor is off.
     """
     with ignored_termination(), contextlib.closing(find_rig(load_rig(Path(rig)))) as machine:
         try:

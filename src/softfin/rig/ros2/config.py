@@ -36,7 +36,7 @@ LimitsField = Annotated[
 
 
 class TransportConfig(Configuration):
-    """How to reach other nodes."""
+    """Connection to other nodes."""
 
     transport: TransportName = "auto"
     """rclpy needs ROS 2, but dds does not; auto: rclpy if it is installed."""
@@ -89,7 +89,7 @@ class NodeConfig(Configuration):
     paper's, in proportion to the size of other fins, and at least the range of the controller."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
-    """How to reach other nodes."""
+    """Connection to other nodes."""
 
     @classmethod
     def of_fin(cls, name: str) -> "NodeConfig":

@@ -89,8 +89,8 @@ class RosNode:
         return self._no_force if newest is None and self._references.is_lost else newest
 
     def stop_reason(self) -> str | None:
-        """Return the reason for a permanent stop, which may be an unreadable message; None if there
-        is no stop."""
+        """Return the reason for a permanent stop, which may be an unreadable message; None while no
+        stop is active."""
         return self._stop.reason()
 
     def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:

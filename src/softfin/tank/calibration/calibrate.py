@@ -103,8 +103,8 @@ def prepared(
     """Return the search space and the training and test segments.
 
     Raises:
-        ConfigurationError: no parameter is free, or a range is invalid.
-        LogError: the logs are too short to determine the parameters.
+        ConfigurationError: if no parameter is free, or a range is invalid.
+        LogError: if the logs are too short to determine the parameters.
     """
     parameters = list_parameters(config.parameters)
     if not parameters:

@@ -61,7 +61,7 @@ def search(
             losses.
 
     Raises:
-        RunError: no tank of a generation produced finite readings.
+        RunError: if no tank of a generation produced finite readings.
     """
     random = named_generator(seed, "calibrate/search")
     strategy = cma_es(

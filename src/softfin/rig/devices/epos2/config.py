@@ -24,7 +24,7 @@ class Epos2Config(DriveConfig):
     gear_ratio: float = Field(gt=0)
     """Motor revolutions per revolution of the fin shaft; 1 without a gearbox."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
     following_error_rad: float = Field(gt=0, le=1)
     """Following error at which the drive faults [rad]; no default. If this value is too large, a
     blocked fin burns out its motor."""
@@ -77,7 +77,7 @@ class Units(NamedTuple):
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
 
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":
