@@ -136,7 +136,7 @@ class LoadedController:
         """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:
-            RunError: if a measurement or the reference is not finite (not checked under JAX), or
+            RunError: If a measurement or the reference is not finite (not checked under JAX), or
                 has a different shape.
         """
         try:

@@ -115,9 +115,9 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     """Write the step to a file, after checking it with onnx and running it with onnxruntime.
 
     Raises:
-        ConfigurationError: if the extra is not installed.
-        ArtifactError: if the file already exists.
-        RunError: if the exported step's commands differ from NumPy's; nothing is written.
+        ConfigurationError: If the extra is not installed.
+        ArtifactError: If the file already exists.
+        RunError: If the exported step's commands differ from NumPy's; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
     _check_extra()

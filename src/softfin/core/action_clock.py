@@ -56,7 +56,7 @@ class ActionClock(Configuration):
         its actions differ by at most one tick.
 
         Raises:
-            ConfigurationError: if the rate is not a ratio of small integers, or is above 100 Hz.
+            ConfigurationError: If the rate is not a ratio of small integers, or is above 100 Hz.
         """
         ticks_per_action = Fraction(RATE_HZ / rate_hz).limit_denominator(MAX_CYCLE_ACTIONS)
         count = ticks_per_action.denominator

@@ -70,7 +70,7 @@ def find_force_map(
     """Survey a plant, find a gait for each node, and determine the region reached by the gaits.
 
     Raises:
-        PlantError: if the plant has no gradient, or its forces cannot be controlled.
+        PlantError: If the plant has no gradient, or its forces cannot be controlled.
     """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(

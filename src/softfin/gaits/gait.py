@@ -164,7 +164,7 @@ class ForceMap(NamedTuple):
         """Build a map from the results of `to_dict` and `arrays`.
 
         Raises:
-            KeyError, TypeError, ValueError: if the data do not describe a map.
+            KeyError, TypeError, ValueError: If the data do not describe a map.
         """
         lattice = description["lattice"]
         nodes = tuple(map(int, lattice["nodes"]))

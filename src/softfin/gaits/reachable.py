@@ -157,7 +157,7 @@ class Reachable(NamedTuple):
         """Build a region from the result of `to_dict`.
 
         Raises:
-            KeyError, TypeError, ValueError: if the data do not describe a region.
+            KeyError, TypeError, ValueError: If the data do not describe a region.
         """
         if not isinstance(description, dict):
             raise TypeError(

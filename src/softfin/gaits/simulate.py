@@ -183,7 +183,7 @@ def missing_gradient(plant: Plant) -> str | None:
     if there is a gradient.
 
     Raises:
-        PlantError: if the plant itself fails.
+        PlantError: If the plant itself fails.
     """
     strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
     try:

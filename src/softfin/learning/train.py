@@ -66,8 +66,8 @@ def train_policies(
     there is one.
 
     Raises:
-        ConfigurationError: if the fin can reach none of the references.
-        RunError: if a loss or a force is not finite, or the disk is full.
+        ConfigurationError: If the fin can reach none of the references.
+        RunError: If a loss or a force is not finite, or the disk is full.
     """
     limits = Limits(*map(float, plant.limits))
     cells = training_cells(config, reachable)

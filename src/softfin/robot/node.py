@@ -113,9 +113,9 @@ class RobotNode:
         the end.
 
         Raises:
-            SafetyStop: if a stop was requested, wrenches ended and `reference_lost` is stop, or a
+            SafetyStop: If a stop was requested, wrenches ended and `reference_lost` is stop, or a
                 fin is silent and `silent_fin` is stop.
-            DeviceError: if not all fins were found within `wait_s`.
+            DeviceError: If not all fins were found within `wait_s`.
         """
         pace = Pace(self._clock)
         try:

@@ -94,7 +94,7 @@ def import_logs(
         Folder and hash of the dataset, and a summary of the logs.
 
     Raises:
-        LogError: If the logs have errors, and ignore_errors is not set.
+        LogError: If the logs have errors and ignore_errors is not set.
 
     Example:
         >>> softfin.import_logs("recordings", out="dataset")

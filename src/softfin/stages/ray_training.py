@@ -21,8 +21,8 @@ def train_on_ray(
     output folders at the same paths. Each training uses one processor core and `num_gpus` GPUs.
 
     Raises:
-        ConfigurationError: if Ray is not installed, or the cluster cannot be used.
-        RunError: if a training failed; raised after all other trainings have finished.
+        ConfigurationError: If Ray is not installed, or the cluster cannot be used.
+        RunError: If a training failed; raised after all other trainings have finished.
     """
     ray = _connect(cluster)
     try:

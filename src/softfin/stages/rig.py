@@ -119,7 +119,7 @@ def stop(*, rig: Annotated[PathLike, FILE] = RIG_FILE) -> Result:
         Confirmation that the motor is off.
 
     Raises:
-        DeviceError: If the drive did not confirm that its motor is off.
+        DeviceError: If the drive does not confirm that its motor is off.
     """
     with ignored_termination(), contextlib.closing(find_rig(load_rig(Path(rig)))) as machine:
         try:

@@ -73,7 +73,7 @@ def fit(
         Table I, issue counts, stroke time, a caveat, and a warning if noise hides the force.
 
     Raises:
-        LogError: If the logs have errors that were not ignored, neither now nor at import.
+        LogError: If the logs have errors that were ignored neither now nor at import.
 
     Example:
         >>> softfin.fit("dataset", out="surrogate", config={"members": 3})

@@ -75,7 +75,7 @@ class Scaling(Configuration):
         """Return the scaling that maps the range of each channel in training logs to [0, 1].
 
         Raises:
-            LogError: if a channel never changes.
+            LogError: If a channel never changes.
         """
         channels = {}
         for name, (low, high) in ranges(logs, COLUMNS).items():

@@ -32,7 +32,7 @@ def find_architecture(name: str) -> "Architecture":
     current folder or an installed package.
 
     Raises:
-        ConfigurationError: if there is no such architecture, or its module cannot be imported.
+        ConfigurationError: If there is no such architecture, or its module cannot be imported.
     """
     place = ARCHITECTURES.get(name, name)
     if ":" not in place:

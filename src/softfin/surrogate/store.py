@@ -53,7 +53,7 @@ def load_surrogate(path: str | Path) -> SurrogatePlant:
     is imported from the current folder or an installed package.
 
     Raises:
-        ArtifactError: if the folder is damaged, or its rate, model or channels are not supported.
+        ArtifactError: If the folder is damaged, or its rate, model or channels are not supported.
     """
     check_precision()
     path = Path(path)

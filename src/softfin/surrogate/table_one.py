@@ -99,7 +99,7 @@ def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
     """Return the range of the measured values of each channel over test logs.
 
     Raises:
-        LogError: if a channel never changes.
+        LogError: If a channel never changes.
     """
     spans = {}
     for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():

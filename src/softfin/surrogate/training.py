@@ -41,7 +41,7 @@ def keep_best_nets(
         The new state, and whether any loss improved.
 
     Raises:
-        RunError: if a loss is not finite.
+        RunError: If a loss is not finite.
     """
     for leaf in jax.tree.leaves((losses, held_out)):
         if not np.isfinite(leaf).all():
@@ -70,7 +70,7 @@ def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence
     """Split logs into training logs and held-out logs; the last logs are held out.
 
     Raises:
-        LogError: if there are fewer than two logs.
+        LogError: If there are fewer than two logs.
     """
     if (count := len(logs)) < 2:
         raise LogError(
@@ -116,7 +116,7 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
     """Build networks from their shapes and the arrays of `name_net_arrays`.
 
     Raises:
-        ArtifactError: if an array is missing, has a different shape, or is not finite.
+        ArtifactError: If an array is missing, has a different shape, or is not finite.
     """
 
     def leaf(path: tuple[object, ...], like: jax.ShapeDtypeStruct) -> Array:

@@ -60,7 +60,7 @@ class DomainRandomization(Configuration):
         The geometry of the fin does not change.
 
         Raises:
-            ConfigurationError: if `part` is negative, or 1 or more.
+            ConfigurationError: If `part` is negative, or 1 or more.
         """
         if not 0 <= part < 1:
             raise ConfigurationError(

@@ -140,7 +140,7 @@ def split(
     windows.
 
     Raises:
-        LogError: if there are too few logs or rows, or a channel never changes.
+        LogError: If there are too few logs or rows, or a channel never changes.
     """
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)

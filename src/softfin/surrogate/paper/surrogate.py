@@ -83,7 +83,7 @@ class Surrogate(eqx.Module):
         """Return the state after the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: if the history is too short.
+            LogError: If the history is too short.
         """
         if history.rows < self.memory:
             raise LogError(
@@ -209,7 +209,7 @@ class Surrogate(eqx.Module):
         """Build the surrogate from the result of `to_files`.
 
         Raises:
-            ArtifactError: if channels or weights do not match the networks.
+            ArtifactError: If channels or weights do not match the networks.
         """
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)

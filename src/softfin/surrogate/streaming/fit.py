@@ -357,7 +357,7 @@ def split_streaming(
     """Return the training logs, the held-out logs, and the scales and table of the training logs.
 
     Raises:
-        LogError: if there are too few logs or rows, or a channel never changes.
+        LogError: If there are too few logs or rows, or a channel never changes.
     """
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + PAPER_CLOCK.window_ticks

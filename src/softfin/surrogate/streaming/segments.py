@@ -46,7 +46,7 @@ def measure_scales(logs: Sequence[Log]) -> Scales:
     """Compute the scales of the training logs.
 
     Raises:
-        LogError: if a channel never changes.
+        LogError: If a channel never changes.
     """
     readings = [log.reading for log in logs]
     joined = jax.tree.map(lambda *x: np.concatenate(x, dtype=np.float64), *readings)
@@ -95,7 +95,7 @@ class Table(NamedTuple):
         """Build the table for segments of `ticks` ticks.
 
         Raises:
-            LogError: if no log is long enough for a segment.
+            LogError: If no log is long enough for a segment.
         """
         # A segment needs MAX_DELAY earlier rows for the commands that have not taken effect at its
         # start.

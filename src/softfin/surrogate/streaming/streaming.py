@@ -107,7 +107,7 @@ class StreamingSurrogate(eqx.Module):
         """Return the state after a free run over the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: if the history is too short.
+            LogError: If the history is too short.
         """
         if history.rows < self.memory:
             raise LogError(
@@ -233,7 +233,7 @@ class StreamingSurrogate(eqx.Module):
         """Build the surrogate from the result of `to_files`.
 
         Raises:
-            ArtifactError: if channels or arrays do not match the networks.
+            ArtifactError: If channels or arrays do not match the networks.
         """
         if description["channels"] != SURROGATE_CHANNELS:
             raise ArtifactError(

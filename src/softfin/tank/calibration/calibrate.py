@@ -103,8 +103,8 @@ def prepared(
     """Return the search space and the training and test segments.
 
     Raises:
-        ConfigurationError: if no parameter is free, or a range is invalid.
-        LogError: if the logs are too short to determine the parameters.
+        ConfigurationError: If no parameter is free, or a range is invalid.
+        LogError: If the logs are too short to determine the parameters.
     """
     parameters = list_parameters(config.parameters)
     if not parameters:

@@ -154,7 +154,7 @@ def list_parameters(ranges: Ranges) -> list[Parameter]:
     """Return the free parameters.
 
     Raises:
-        ConfigurationError: if a name is unknown, or a range is not ascending.
+        ConfigurationError: If a name is unknown, or a range is not ascending.
     """
     allowed = _by_full_name(every_range())
     parameters = []

@@ -70,7 +70,7 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
     cover many logs.
 
     Raises:
-        LogError: if no log is long enough, or a channel never changes.
+        LogError: If no log is long enough, or a channel never changes.
     """
     longest = max((len(log.reading.time) for log in logs), default=0)
     starts = range(0, longest - rows, rows)
@@ -112,9 +112,9 @@ def material(
     surrogate, or a plant or its name.
 
     Raises:
-        ArtifactError: if there are no test logs.
-        LogError: if the folder contains no logs, or logs with errors that are not ignored.
-        ConfigurationError: if a velocity range is set for logs, or exceeds the plant's limits.
+        ArtifactError: If there are no test logs.
+        LogError: If the folder contains no logs, or logs with errors that are not ignored.
+        ConfigurationError: If a velocity range is set for logs, or exceeds the plant's limits.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -251,7 +251,7 @@ class Space:
         """Build the box.
 
         Raises:
-            ConfigurationError: if the box contains invalid values, or excludes the initial values.
+            ConfigurationError: If the box contains invalid values, or excludes the initial values.
         """
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}

@@ -61,7 +61,7 @@ def search(
             losses.
 
     Raises:
-        RunError: if no tank of a generation produced finite readings.
+        RunError: If no tank of a generation produced finite readings.
     """
     random = named_generator(seed, "calibrate/search")
     strategy = cma_es(
