@@ -53,7 +53,7 @@ def evaluate(
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II).
 
     Args:
-        controllers: Controller folder; several folders from different seeds are evaluated together.
+        controllers: Controller folder; several with different seeds are evaluated together.
         plant: tank, a YAML file, a surrogate folder, package.module:plant, rig[:FILE] or
             ros2[:FILE].
         out: Output folder for evaluation.json and the figures (default: only print the scores).
