@@ -93,6 +93,13 @@ def _members(plant: Any) -> Iterator[Problem]:
             yield (problem,)
 
 
+def _array(name: str, values: Array, shape: tuple[int, ...]) -> Iterator[Problem]:
+    if values.shape != shape:
+        yield f"{name} has shape {values.shape}", f"it must be {shape}"
+    if values.dtype != jnp.float32:
+        yield f"{name} is {values.dtype}", "it must be float32"
+
+
 def _purity(plant: Plant) -> Iterator[Problem]:
     """Check that equal inputs produce equal outputs; nothing is compiled here, because that would
     hide data that a plant keeps outside its state."""
@@ -109,13 +116,7 @@ def _purity(plant: Plant) -> Iterator[Problem]:
     first, second = (reading for _, reading in results)
     for name, values in first._asdict().items():
         shape = (STROKE_TICKS, 2) if name == "force" else (STROKE_TICKS,)
-        if jnp.shape(values) != shape:
-            yield (
-                f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks",
-                f"it must be {shape}",
-            )
-        if jnp.asarray(values).dtype != jnp.float32:
-            yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings must be float32"
+        yield from _array(f"reading.{name} for {STROKE_TICKS} ticks", jnp.asarray(values), shape)
     if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
         asked = "a plant must keep everything, including random keys, in its state"
         yield "the same state and command produce different readings when repeated", asked
@@ -229,10 +230,7 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
             "it must return an array of shape (2,)",
         )
         return
-    if forces.shape[1:] != (2,):
-        yield f"true_force has shape {forces.shape[1:]}", "it must be (2,)"
-    if forces.dtype != jnp.float32:
-        yield f"true_force is {forces.dtype}", "it must be float32"
+    yield from _array("true_force", forces[0], (2,))
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
             yield f"true_force is not finite under {command}", "it must be finite within the limits"
