@@ -1,6 +1,5 @@
 """Stages for models of a fin: fit a surrogate (paper Sec. III-B), and calibrate the tank."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +26,7 @@ from softfin.data.issues import counted
 from softfin.stages.logs import columns_read
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
-from softfin.storage.paths import find_recordings
+from softfin.storage.paths import find_recordings, typed_path
 from softfin.storage.registry import check_data, plant_name
 from softfin.surrogate.registry import DEFAULT, find_architecture
 
@@ -166,7 +165,7 @@ def _summarize_fit(
         clock = " --clock auto"
     parts.append(
         f"{out}: {_verdict(written['scores'], spans, scored)}\n"
-        f"next: softfin map {shlex.quote(str(out))}{clock} --out gaits"
+        f"next: softfin map {typed_path(out)}{clock} --out gaits"
     )
     notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
     if warning is not None:

@@ -29,7 +29,7 @@ from softfin.data.checks.statistics import (
     to_columns,
 )
 from softfin.data.importing.clocks import NamedLog
-from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
+from softfin.data.importing.importing import ANGLES, FORCE_FRAMES, ImportConfig
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 POOLED = 100
@@ -105,12 +105,15 @@ def inspect(
         )
         statistics.append(measure(calm, named))
         # Suggested options extend those of the file.
-        angles = {**named.units, **config.angles}
+        of_file = {channel: named.units[channel] for channel in ANGLES if channel in named.units}
+        angles = of_file | config.angles
         own = config.model_copy(update={"angles": angles})
         log = CheckedLog(raw, columns, calm, statistics[-1], own)
         in_counts = list(check_counts(log))
-        if in_counts:
-            # No other check is meaningful while an angle's scale and zero are unknown.
+        is_short = len(raw.angle) < RATE_HZ
+        if in_counts or is_short:
+            # No other check is meaningful while an angle's scale and zero are unknown, or within a
+            # second.
             found += in_counts
         else:
             series.append(calm)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
-from softfin.data.importing.importing import AngleChannel, ImportConfig
+from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.names import CHANNELS, UNITS
 from softfin.data.issues import MAX_ODD_SHARE, Issue, counted, row_severity
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
@@ -24,6 +24,12 @@ COMMAND_CHANNELS = {"command_angle", "command_velocity"}
 
 RATES_HZ = (5.0, 20_000.0)
 """Plausible sampling rates [Hz]; outside this range, the time unit must be wrong."""
+
+MAX_GRID_S = 0.002
+"""Coarsest plausible resolution of a clock that does not count the rows [s]."""
+
+MAX_LONG_STEPS = 0.15
+"""Largest plausible share of such a clock's steps that are longer than the others."""
 
 CUTOFF_HZ = 40.0
 """Frequency at which the low-pass filter halves the amplitude [Hz]: below the Nyquist frequency
@@ -73,8 +79,8 @@ class Recording(NamedTuple):
     tracks: tuple[Track, ...]
     issues: tuple[Issue, ...] = ()
     """Issues found while reading the file."""
-    units: Mapping[AngleChannel, str] = MappingProxyType({})
-    """Units of angles and velocities in the file, unless they are SI units."""
+    units: Mapping[str, str] = MappingProxyType({})
+    """Units of the channels in the file, unless they are SI units."""
 
 
 class NamedLog(NamedTuple):
@@ -85,14 +91,16 @@ class NamedLog(NamedTuple):
     log: Log
     start_s: float = 0.0
     """Time on the recording's clock when the log's time is 0 [s]."""
-    units: Mapping[AngleChannel, str] = MappingProxyType({})
-    """Units of angles and velocities in the file, unless they are SI units."""
+    units: Mapping[str, str] = MappingProxyType({})
+    """Units of the channels in the file, unless they are SI units."""
 
 
 def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
     """Convert a recording to logs at 100 Hz; raises LogError if it has no usable clock."""
     logs: list[NamedLog] = []
     issues = list(recording.issues)
+    time_unit = config.time_unit or recording.units.get("time")
+    config = config.model_copy(update={"time_unit": time_unit})
     for name, run in _split_at_restarts(recording):
         # Subtract the first time of any track: near Unix times, doubles only resolve 0.24 us.
         starts = []
@@ -279,6 +287,16 @@ def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
             f"{name}: column time: one row every {1 / rate:g} s ({rate:g} Hz); must be "
             f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; {_rate_fix(rate, config)}"
         )
+    grid = float(steps.min())
+    is_on_grid = bool((np.abs(steps % grid - grid / 2) > 0.49 * grid).all())
+    # A steady clock has all its steps on a grid, too, but few longer ones.
+    if is_on_grid and grid > MAX_GRID_S and np.mean(steps > 1.5 * grid) > MAX_LONG_STEPS:
+        message = f"all steps of the clock are multiples of {1e3 * grid:.3g} ms"
+        fix = (
+            "record the time with more digits; if the rows of a table are evenly spaced, use "
+            "--rate 100 --columns time=- for one row every 10 ms"
+        )
+        return [Issue("warning", "coarse clock", name, message, fix, "time")]
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"sampled at {rate:.1f} Hz, below {RATE_HZ} Hz: missing rows are interpolated"
         fix = f"record at {RATE_HZ:g} Hz or faster"

@@ -87,7 +87,7 @@ SPELLINGS = {
     "mrad": "mrad mrads milliradian milliradians",
     "deg": "deg degs degree degrees °",
     "turn": "turn turns rev revs revolution revolutions rotation rotations",
-    "rpm": "rpm rev/min revs/min revolutions/minute",
+    "rpm": "rpm 1/min r/min rev/min revs/min revolutions/minute",
     "N": "n newton newtons",
     "mN": "mn millinewton millinewtons",
     "cN": "cn centinewton centinewtons",

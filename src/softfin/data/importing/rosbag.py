@@ -254,8 +254,8 @@ def _read_topic(
     issues += found
     track = Track(time, channels)
     is_stamped = np.isfinite(time)
-    if role == "joint":
-        issues += _check_publishers(track.take(is_stamped), topic, name)
+    if role != "command":
+        issues += _check_publishers(track.take(is_stamped), role, topic, name)
     # Missing values of other channels cost no rows.
     needed = np.array([channels[channel] for channel in channels.keys() & set(CHANNELS)])
     is_finite = np.isfinite(needed).all(axis=0)
@@ -364,35 +364,45 @@ def _topic_channels(
     return channels, [Issue("note", "columns", name, text)]
 
 
-def _check_publishers(track: Track, topic: str, name: str) -> list[Issue]:
-    """Return an error if two publishers disagree about the joint."""
-    rows = find_disagreements(track.time, track.channels["angle"])
+def _check_publishers(track: Track, role: Topic, topic: str, name: str) -> list[Issue]:
+    """Return an error if two publishers disagree about the joint or the wrench."""
+    channel = TOPIC_CHANNELS[role][0]
+    values = track.channels[channel]
+    least = MIN_DISAGREEMENT_RAD
+    most = TURN_RAD - TURN_TOLERANCE_RAD
+    if role == "wrench":
+        least = 0.2 * float(np.ptp(np.percentile(values, [1, 99])))
+        most = np.inf
+    rows = find_disagreements(track.time, values, least, most)
     if len(rows) < MIN_DISAGREEMENTS:
         return []
     message = (
-        f"{topic}: the angle jumps back and forth in {len(rows):,} of {len(track.time):,} "
-        "messages: two publishers disagree about the joint"
+        f"{topic}: {channel} jumps back and forth in {len(rows):,} of {len(track.time):,} "
+        f"messages: two publishers disagree about the {role}"
     )
     fix = (
         "stop the other publisher, such as joint_state_publisher, and record again; or choose a "
-        "topic with one publisher, e.g. --topics joint=TOPIC"
+        f"topic with one publisher, e.g. --topics {role}=TOPIC"
     )
-    return [Issue("error", "two publishers", name, message, fix, "angle", int(rows[0]))]
+    return [Issue("error", "two publishers", name, message, fix, channel, int(rows[0]))]
 
 
 def find_disagreements(
-    time: Float[np.ndarray, "rows"], angle: Float[np.ndarray, "rows"]
+    time: Float[np.ndarray, "rows"],
+    values: Float[np.ndarray, "rows"],
+    least: float,
+    most: float,
 ) -> Int[np.ndarray, "_"]:
-    """Return the rows of an angle that are from another publisher than their neighbours.
+    """Return the rows of a channel that are from another publisher than their neighbours.
 
-    Such an angle is far from the ones before and after it, which are close to each other. So is a
-    single fault of a sensor, but there the clock is as regular as elsewhere, and its neighbours
-    are not faults.
+    Such a value differs from the ones before and after it, which are close to each other, by
+    `least` to `most`. So does a single fault of a sensor, but there the clock is as regular as
+    elsewhere, and its neighbours are not faults.
     """
-    to_next = np.diff(angle)[1:]
-    from_previous = np.diff(angle)[:-1]
+    to_next = np.diff(values)[1:]
+    from_previous = np.diff(values)[:-1]
     jump = np.minimum(np.abs(from_previous), np.abs(to_next))
-    is_away = (jump > MIN_DISAGREEMENT_RAD) & (jump < TURN_RAD - TURN_TOLERANCE_RAD)
+    is_away = (jump > least) & (jump < most)
     is_other = np.pad(is_away & (np.abs(from_previous + to_next) < jump / 3), 1)
     rows = np.flatnonzero(is_other)
     if not rows.size:
@@ -411,9 +421,11 @@ def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: P
     fitting = [other for other, kind in types.items() if kind in likely]
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
     bag = "ROS 1 bag" if path.suffix.lower() == ".bag" else "bag"
+    fix = f"set it with --topics {role}={suggestion}"
+    if not set(READABLE_TYPES[role]) & set(types.values()):
+        fix = f"record the {role} as well, as {' or '.join(READABLE_TYPES[role])}"
     return LogError(
-        f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; set it with "
-        f"--topics {role}={suggestion}"
+        f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; {fix}"
     )
 
 

@@ -35,6 +35,13 @@ MAX_MISSING_SHARE = 0.1
 own rows."""
 
 
+MISSING = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
+"""What stands for a missing number."""
+
+GROUPED = r"^[-+]?[1-9]\d{0,2}(?:,\d{3})+$"
+"""A whole number with separators of thousands, unless these are decimal commas."""
+
+
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
     """Read the logs in one file; raises LogError if it is not such a table or if a channel is
     missing."""
@@ -64,8 +71,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
     issues += _notes(name, table.names, found, own, config)
-    angles = {channel: units[channel] for channel in ANGLES if channel in units}
-    not_si = {channel: unit for channel, unit in angles.items() if unit != SI[KINDS[channel]]}
+    not_si = {channel: unit for channel, unit in units.items() if unit != SI[KINDS[channel]]}
     whole = Recording(name, part, (Track(time, values),), tuple(issues), not_si)
     return _split_rows(whole, table, config)
 
@@ -138,8 +144,9 @@ def _read_column(
         raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
     values = table.columns[table.names.index(column.name)]
     kind = values.type
-    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
-        return _floats(values.cast(pa.int64())), Column(column.name, kind.unit, True)
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind):
+        number = pa.int32() if pa.types.is_time32(kind) else pa.int64()
+        return _floats(values.cast(number)), Column(column.name, kind.unit, True)
     if kind not in (pa.string(), pa.large_string()):
         check_unit(channel, column, str(path))
         try:
@@ -159,7 +166,26 @@ def _read_column(
             f"choose a different column with --columns {channel}=NAME"
         )
     check_unit(channel, column, str(path))
+    _check_cells(values, numbers, f"{path}: column {column.name!r}")
     return numbers, column
+
+
+def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], source: str) -> None:
+    """Raise LogError if many cells are neither numbers nor missing, or if their commas may separate
+    thousands."""
+    is_missing = pc.match_substring_regex(values, MISSING)
+    is_other = np.isnan(numbers) & ~np.asarray(pc.fill_null(is_missing, True))
+    has_comma = np.asarray(pc.fill_null(pc.match_substring(values, ","), False))
+    is_grouped = np.asarray(pc.fill_null(pc.match_substring_regex(values, GROUPED), False))
+    is_ambiguous = has_comma.sum() >= 10 and (~has_comma & ~np.isnan(numbers)).any()
+    if is_ambiguous and (has_comma == is_grouped).all():
+        is_other = is_grouped
+    if is_other.sum() > MAX_MISSING_SHARE * len(numbers) or is_other is is_grouped:
+        cell = values[int(is_other.argmax())].as_py()
+        raise LogError(
+            f"{source}: {is_other.sum():,} cells are not plain numbers, the first {cell!r}; save "
+            "the file without separators of thousands and without units in the cells"
+        )
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
@@ -176,6 +202,7 @@ def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
 
 def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
     """Parse times of day as seconds that continue at midnight and noon."""
+    column = pc.replace_substring_regex(column, r"T(\d{2})(\d{2})(\d{2})", r"T\1:\2:\3")
     parts = pc.extract_regex(column, TIME_OF_DAY).flatten()
     hours, minutes, seconds = [_parse(pc.replace_substring(part, ":", ".")) for part in parts]
     times = np.asarray(3600 * np.nan_to_num(hours) + 60 * minutes + seconds)

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
@@ -28,7 +29,10 @@ HEAD_BYTES = 100_000
 MIN_COLUMNS = 4
 """Minimum width of a header: a log without times has command, angle and force (x, y)."""
 
-COMMENT = re.compile(r"\s*(#|%|//|$)")
+COMMENT = re.compile(r"\s*(#|%|//|\"?sep=|$)", re.IGNORECASE)
+
+ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "012": "utf-32-be"}
+"""Encodings by the places of four bytes that are often NUL."""
 
 
 class Table(NamedTuple):
@@ -61,16 +65,8 @@ def read_text_table(path: Path, name: str) -> Table:
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check the file") from None
-    # After a byte order mark, if there is one, the header is ASCII.
-    encoding = "utf-16" if 0 in data[:4] else "utf-8-sig"
-    if data.startswith(b"\0"):
-        encoding = "utf-16-be"
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", "replace")
-    # A power cut leaves NUL characters in place of the last lines.
-    text = re.sub("\0+", "\nNUL bytes\n", text)
+    # A power cut leaves NUL bytes in place of the last lines.
+    text = re.sub("\0+", "\nNUL bytes\n", _decode(data))
     layout = _find_layout(text, path)
     body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
     cut = ""
@@ -90,18 +86,37 @@ def read_text_table(path: Path, name: str) -> Table:
         fix = "check the end of the recording, or whether other text was written to the file"
         severity = row_severity(num_lines, len(columns[0]))
         issues.append(Issue(severity, "dropped rows", name, message, fix, row=row))
-    is_header = pc.and_(*map(pc.equal, columns, [cell.strip() for cell in layout.header[:2]]))
-    starts = [0]
-    for number, row in enumerate(pc.indices_nonzero(is_header).to_pylist()):
-        # The headers above it are removed.
-        starts.append(row - number)
+    is_header = _equals(columns, layout.header)
     is_row = pc.invert(is_header)
+    if layout.units:
+        is_row = pc.and_(is_row, pc.invert(_equals(columns, layout.units)))
+    # The headers and units above a row are removed.
+    rows_above = np.cumsum(is_row.to_numpy())
+    starts = [0, *rows_above[np.asarray(is_header)].tolist()]
     names = [layout.header[0].lstrip("#; "), *layout.header[1:]]
     for index, unit in enumerate(layout.units):
-        if unit:
+        if unit := unit.strip(" []()"):
             names[index] += f" [{unit}]"
     columns = [column.filter(is_row) for column in columns]
     return Table([name.strip() for name in names], columns, starts, issues)
+
+
+def _equals(columns: list[pa.ChunkedArray], cells: list[str]) -> pa.ChunkedArray:
+    """Return whether the first cells of each row are these."""
+    return pc.and_(*map(pc.equal, columns, [cell.strip() for cell in cells[:2]]))
+
+
+def _decode(data: bytes) -> str:
+    data = re.sub(rb"^\0{4,}", b"", data)
+    # Digits and delimiters have NUL bytes at the same places of each character.
+    is_nul = np.frombuffer(data[:4000], np.uint8) == 0
+    places = "".join(
+        str(place) for place in range(4) if 3 * is_nul[place::4].sum() > len(is_nul) / 4
+    )
+    try:
+        return data.decode(ENCODINGS.get(places, "utf-8")).removeprefix("\ufeff")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace")
 
 
 def _is_cut(body: str) -> bool:
@@ -148,9 +163,8 @@ def _layout(lines: list[str], delimiter: str) -> _Layout | None:
         if fitting:
             fitting.reverse()
             header = max(fitting, key=_name_score)
-            below = fitting[: fitting.index(header)]
-            units = next((row for row in below if any(map(_is_unit, row))), [])
-            units = [unit.strip(" []()") for unit in units]
+            fitting.remove(header)
+            units = next((row for row in fitting if sum(map(_is_unit, row)) > 1), [])
             return _Layout(delimiter, header, units, num_above, num_numbers)
     return None
 
@@ -161,7 +175,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
     if any(map(_is_number, line.split())):
         return line.split()
     # In a header, a space may also separate a name from its unit.
-    return re.split(r"\s{2,}|\t" if "  " in line.strip() else r"\s+(?![\[({])", line.strip())
+    line = line.strip().lstrip("#% ")
+    return re.split(r"\s{2,}|\t" if "  " in line.strip() else r"\s+(?![\[({])", line)
 
 
 def _is_number(cell: str) -> bool:
