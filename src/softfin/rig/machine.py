@@ -133,5 +133,4 @@ def rotated(
 ) -> Wrench:
     """Return the wrench with its force and torque rotated."""
     # Force and torque are the rows of a (2, 3) array.
-    fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
-    return fx, fy, fz, tx, ty, tz
+    return tuple((np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist())

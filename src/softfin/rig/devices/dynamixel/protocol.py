@@ -58,25 +58,14 @@ class Packet(NamedTuple):
     data: bytes
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            # CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most significant bit first.
-            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
-        table.append(crc)
-    return tuple(table)
-
-
-_CRC_TABLE = _crc_table()
-
-
 def crc16(data: bytes) -> int:
     """Return the CRC of a packet without its last two bytes."""
     crc = 0
     for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+        crc ^= byte << 8
+        for _ in range(8):
+            # CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most significant bit first.
+            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc
 
 

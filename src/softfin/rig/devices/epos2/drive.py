@@ -268,7 +268,7 @@ class Epos2(Exchange):
         with stopped_afterwards(self):
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
-            self._power_up(then_arm=False, meanwhile=lambda: None)
+            self._power_up(then_arm=False)
             procedures.home(self)
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
 
