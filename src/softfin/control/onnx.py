@@ -51,6 +51,10 @@ EPISODE = 240
 """Number of actions in the comparison."""
 
 
+State = dict[str, np.ndarray]
+"""State of the file by the names of its inputs."""
+
+
 class Exported(NamedTuple):
     """Metadata of an exported file."""
 
@@ -151,14 +155,14 @@ def _check_extra() -> None:
         ) from None
 
 
-def _initial_state(controller: LoadedController) -> dict[str, np.ndarray]:
+def _initial_state(controller: LoadedController) -> State:
     """Return the initial values of the file's state: that of the step, and the last command."""
     state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     at_rest = np.array((controller.limits.rest_angle, controller.limits.velocity_min), np.float32)
     return state | {LAST_COMMAND: at_rest}
 
 
-def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
+def _build_graph(controller: LoadedController, initial: State) -> Any:
     """Return the ONNX model of the step, with the names and shapes of the file's inputs."""
     import ndonnx
 
@@ -204,7 +208,7 @@ def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
     return first, last
 
 
-def _describe(model: Any, controller: LoadedController, initial: dict[str, np.ndarray]) -> None:
+def _describe(model: Any, controller: LoadedController, initial: State) -> None:
     """Add the metadata and the initial values of the state to a model, and check it."""
     import onnx
 

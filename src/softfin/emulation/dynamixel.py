@@ -245,10 +245,8 @@ class EmulatedServo:
         offset = address - protocol.INDIRECT_DATA
         if not 0 <= offset < 28:
             return address
-        selected: int = struct.unpack_from(
-            "<H", self.table, protocol.INDIRECT_ADDRESS + 2 * offset
-        )[0]
-        return selected
+        place = protocol.INDIRECT_ADDRESS + 2 * offset
+        return int.from_bytes(self.table[place : place + 2], "little")
 
     def _measure(self) -> None:
         """Update the entries that the servo measures."""
@@ -338,5 +336,4 @@ class EmulatedServo:
 
 
 def _value(table: bytearray, entry: Entry) -> int:
-    value: int = entry.layout.unpack_from(table, entry.address)[0]
-    return value
+    return int(entry.layout.unpack_from(table, entry.address)[0])

@@ -111,6 +111,7 @@ class Batch(NamedTuple):
 
 Learners: TypeAlias = tuple[ActorCritic, Policy, PyTree]
 """The trained networks, the averaged policy, and the state of the optimizer."""
+Learned: TypeAlias = tuple[Learners, Metrics]
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ class PPO:
 
     def _learn(
         self, agent: AgentState, networks: ActorCritic, batch: Batch, key: PRNGKeyArray
-    ) -> tuple[Learners, Metrics]:
+    ) -> Learned:
         """Run all epochs of minibatches on a rollout."""
         config = self.config
         optimiser = self._optimiser()
@@ -231,7 +232,7 @@ class PPO:
         newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
         memories = agent.env_state.memories
 
-        def minibatch(carry: Learners, chosen: Int[Array, "some"]) -> tuple[Learners, Metrics]:
+        def minibatch(carry: Learners, chosen: Int[Array, "some"]) -> Learned:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
             start = jax.tree.map(lambda x: x[chosen], memories)
@@ -244,7 +245,7 @@ class PPO:
             averaged = optax.incremental_update(networks.policy, averaged, newest)
             return (networks, averaged, state), metrics
 
-        def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
+        def epoch(carry: Learners, key: PRNGKeyArray) -> Learned:
             order = jax.random.permutation(key, config.num_envs)
             return jax.lax.scan(minibatch, carry, order.reshape(config.num_minibatches, -1))
 

@@ -82,6 +82,10 @@ class Rollout(NamedTuple):
     """Whether the episode was truncated just after the action."""
 
 
+Acted: TypeAlias = tuple[EnvState, Rollout]
+"""State of the environments after some actions, and what was collected in them."""
+
+
 def start_episodes(
     task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
 ) -> EnvState:
@@ -101,15 +105,13 @@ def start_episodes(
 
 def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
-) -> tuple[EnvState, Rollout]:
+) -> Acted:
     """Take the actions of `cycles` cycles of the clock in each environment; environments are reset
     at the end of their episodes."""
 
     clock = task.config.clock
 
-    def cycle(
-        env_state: EnvState, noise: Float[Array, "cycle environments actions"]
-    ) -> tuple[EnvState, Rollout]:
+    def cycle(env_state: EnvState, noise: Float[Array, "cycle environments actions"]) -> Acted:
         held = (noise, jnp.asarray(clock.ticks))
         env_state, steps = jax.lax.scan(
             lambda now, action: _act(task, policy, now, *action), env_state, held
@@ -131,7 +133,7 @@ def _act(
     env_state: EnvState,
     noise: Float[Array, "environments actions"],
     ticks: Ticks,
-) -> tuple[EnvState, Rollout]:
+) -> Acted:
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)

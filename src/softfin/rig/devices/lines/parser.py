@@ -4,11 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.loss_estimate import LossEstimate, wrapped_step
-from softfin.rig.machine import WRENCH_CHANNELS
+from softfin.rig.machine import WRENCH_CHANNELS, WrenchArray
 from softfin.rig.stream_clock import ShortestDelay
 
 REORDERED_LINES = 64
@@ -29,7 +28,7 @@ distinguished from it. For a counter, the clock is its rate, which is measured f
 class Record(NamedTuple):
     """One line."""
 
-    wrench: Float[np.ndarray, " 6"]
+    wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]; zero for channels without a column."""
     number: int | None
     """Value of the counter or of the time; None without such a column."""
