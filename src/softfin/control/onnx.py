@@ -187,25 +187,16 @@ def _build_graph(controller: LoadedController, initial: State) -> Any:
     outputs = {}
     command: Any = action_to_command(limits, action)
     for index, name in enumerate(COMMAND_OUTPUTS):
-        low, high = _round_inwards(*ranges[index])
-        value = ndonnx.clip(command[index], float(low), float(high))
+        low, high = map(np.float32, ranges[index])
+        # One float32 inwards, because rounding may have moved the ends beyond the limits.
+        least = float(np.nextafter(low, high))
+        value = ndonnx.clip(command[index], least, float(np.nextafter(high, low)))
         outputs[name] = ndonnx.where(is_usable, value, last_command[index])
     for name, value in after._asdict().items():
         value = ndonnx.reshape(value, initial[name].shape)
         outputs[f"{NEXT}{name}"] = ndonnx.where(is_usable, value, state[name])
     outputs[f"{NEXT}{LAST_COMMAND}"] = ndonnx.stack([outputs[name] for name in COMMAND_OUTPUTS])
     return ndonnx.build(measured | state, outputs)
-
-
-def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Round the range inwards to float32, so that clipped commands never exceed the limits."""
-    first = np.float32(low)
-    last = np.float32(high)
-    if first < low:
-        first = np.nextafter(first, np.float32(np.inf))
-    if last > high:
-        last = np.nextafter(last, np.float32(-np.inf))
-    return first, last
 
 
 def _describe(model: Any, controller: LoadedController, initial: State) -> None:

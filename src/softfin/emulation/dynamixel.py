@@ -236,9 +236,8 @@ class EmulatedServo:
         if address + size > TABLE_BYTES:
             return self._status(b"", Refusal.ACCESS)
         self._measure()
-        return self._status(
-            bytes(self.table[self._resolve(each)] for each in range(address, address + size))
-        )
+        selected = map(self._resolve, range(address, address + size))
+        return self._status(bytes(self.table[each] for each in selected))
 
     def _resolve(self, address: int) -> int:
         """Return the address that an indirect one selects."""

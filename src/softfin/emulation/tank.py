@@ -130,12 +130,6 @@ def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[ja
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive
-    sample = [
-        read.angle,
-        read.velocity,
-        drive.profile_angle,
-        drive.torque,
-        read.force[0],
-        read.force[1],
-    ]
-    return state, jnp.stack([jnp.asarray(value) for value in sample])
+    return state, jnp.array(
+        [read.angle, read.velocity, drive.profile_angle, drive.torque, *read.force]
+    )

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.control.policy import PolicyMemory
@@ -52,14 +51,6 @@ class AgentState(NamedTuple):
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
 """Scalars per update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and metrics of
 the algorithm."""
-
-
-def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
-    """Return Adam with gradients clipped to a maximum norm."""
-    # All weights as one vector compile faster than one operation per array.
-    return optax.flatten(
-        optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5))
-    )
 
 
 class Rollout(NamedTuple):
