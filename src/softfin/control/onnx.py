@@ -51,6 +51,10 @@ EPISODE = 240
 """Number of actions in the comparison."""
 
 
+State = dict[str, np.ndarray]
+"""State of the file by the names of its inputs."""
+
+
 class Exported(NamedTuple):
     """Metadata of an exported file."""
 
@@ -151,14 +155,14 @@ def _check_extra() -> None:
         ) from None
 
 
-def _initial_state(controller: LoadedController) -> dict[str, np.ndarray]:
+def _initial_state(controller: LoadedController) -> State:
     """Return the initial values of the file's state: that of the step, and the last command."""
     state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     at_rest = np.array((controller.limits.rest_angle, controller.limits.velocity_min), np.float32)
     return state | {LAST_COMMAND: at_rest}
 
 
-def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
+def _build_graph(controller: LoadedController, initial: State) -> Any:
     """Return the ONNX model of the step, with the names and shapes of the file's inputs."""
     import ndonnx
 
@@ -183,8 +187,10 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     outputs = {}
     command: Any = action_to_command(limits, action)
     for index, name in enumerate(COMMAND_OUTPUTS):
-        low, high = _round_inwards(*ranges[index])
-        value = ndonnx.clip(command[index], float(low), float(high))
+        low, high = map(np.float32, ranges[index])
+        # One float32 inwards, because rounding may have moved the ends beyond the limits.
+        least = float(np.nextafter(low, high))
+        value = ndonnx.clip(command[index], least, float(np.nextafter(high, low)))
         outputs[name] = ndonnx.where(is_usable, value, last_command[index])
     for name, value in after._asdict().items():
         value = ndonnx.reshape(value, initial[name].shape)
@@ -193,18 +199,7 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     return ndonnx.build(measured | state, outputs)
 
 
-def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Round the range inwards to float32, so that clipped commands never exceed the limits."""
-    first = np.float32(low)
-    last = np.float32(high)
-    if first < low:
-        first = np.nextafter(first, np.float32(np.inf))
-    if last > high:
-        last = np.nextafter(last, np.float32(-np.inf))
-    return first, last
-
-
-def _describe(model: Any, controller: LoadedController, initial: dict[str, np.ndarray]) -> None:
+def _describe(model: Any, controller: LoadedController, initial: State) -> None:
     """Add the metadata and the initial values of the state to a model, and check it."""
     import onnx
 

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.core.errors import CoverageError
 from softfin.gaits.reachable import (
@@ -13,6 +12,7 @@ from softfin.gaits.reachable import (
     PAPER_REFERENCES,
     Cell,
     Cells,
+    Forces,
     ForceVector,
     Reachable,
     directions,
@@ -73,7 +73,7 @@ def _scaled_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
     return _rounded(np.asarray(spread, float), natural)
 
 
-def _rounded(forces: Float[np.ndarray, "forces 2"], scale: float) -> tuple[ForceVector, ...]:
+def _rounded(forces: Forces, scale: float) -> tuple[ForceVector, ...]:
     """Round forces to a few percent of the scale, without -0."""
     decimals = max(force_decimals(scale) - 1, 0)
     return tuple((round(x, decimals) + 0.0, round(y, decimals) + 0.0) for x, y in forces.tolist())
@@ -130,9 +130,7 @@ def resolve_reference(
     return (x, y), f"{problem}, which is tracked instead"
 
 
-def nearest_trackable(
-    controller: Any, forces: Float[np.ndarray, "forces 2"]
-) -> Float[np.ndarray, "forces 2"]:
+def nearest_trackable(controller: Any, forces: Forces) -> Forces:
     """Replace unreachable forces by the nearest reachable ones within the controller's cells.
 
     Raises CoverageError for a reachable force that the controller was not trained for, and if none

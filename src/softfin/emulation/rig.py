@@ -15,9 +15,10 @@ from typing import Any
 
 import yaml
 
+from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
-from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.bus import SocketcandServer
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.device import (
     DRIVES,
@@ -90,7 +91,7 @@ class EmulatedRig(contextlib.ExitStack):
         """Return a description of the rig's addresses."""
         place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
-            place = f"socketcand {HOST}:{self.server.port}"
+            place = f"socketcand {LOOPBACK}:{self.server.port}"
         drive, sensor = (
             ", ".join(f"{name} {value}" for name, value in device.address().items() if value)
             for device in (self.drive, self.sensor)
@@ -101,7 +102,7 @@ class EmulatedRig(contextlib.ExitStack):
         """Return the contents of the rig file, with `changes`."""
         bus: JsonObject = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:
-            options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
+            options = {"host": LOOPBACK, "port": self.server.port, "tcp_tune": True}
             bus |= {"interface": "socketcand", "options": options}
         values = _rig_values(self._drive, bus, self._sensor)
         values["drive"] |= self.drive.address()

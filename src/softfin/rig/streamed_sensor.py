@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from softfin.core.clock import Clock
@@ -22,7 +21,7 @@ from softfin.rig.device import CheckResult, ForceReading, ForceSensorConfig
 from softfin.rig.filter import BRIDGED_S, AntiAlias, design
 from softfin.rig.frozen import FrozenChannels
 from softfin.rig.lock import DeviceLock
-from softfin.rig.machine import Wrench, rotated, rotation
+from softfin.rig.machine import Wrench, WrenchArray, rotated, rotation
 from softfin.rig.stream_clock import StreamClock
 
 FIRST_WAIT_S = 5.0
@@ -92,7 +91,7 @@ def queue_length(rate_hz: float) -> int:
 class TimedWrench(NamedTuple):
     """A usable record."""
 
-    wrench: Float[np.ndarray, " 6"]
+    wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]."""
     missing: int
     """Number of records that were lost or unusable since the previous one."""
@@ -189,14 +188,14 @@ class StreamedSensor:
             self._filter = AntiAlias(self.config.rate_hz, self.config.cutoff_hz)
         self._place = 0
         """Position of the latest record in the stream, counting lost ones."""
-        self._newest: Float[np.ndarray, " 6"] | None = None
+        self._newest: WrenchArray | None = None
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable records were processed [s]."""
         self._frozen = FrozenChannels(self._source.constant_s * self.config.rate_hz)
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
-        self._collected: list[Float[np.ndarray, " 6"]] | None = None
+        self._collected: list[WrenchArray] | None = None
 
     @property
     def identity(self) -> dict[str, str | None]:
@@ -349,7 +348,7 @@ class StreamedSensor:
         latest = moment if self._force is None else max(moment, self._force[0])
         self._force = (latest, rotated(output - self._offset, self._rotation))
 
-    def _mean(self, seconds: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
+    def _mean(self, seconds: float) -> tuple[WrenchArray, WrenchArray]:
         """Return mean and standard deviation of the next records, in the sensor axes."""
         self.keep_up()
         collected = self._collected = []

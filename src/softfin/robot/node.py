@@ -274,23 +274,15 @@ class RobotNode:
 
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
     """Raise RigError if a fin is unsuitable or two topics would have the same name."""
+    topics = [value for name, value in config if name.endswith("_topic")]
     for name in robot.fins:
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
                 f"{robot.name}: fin {name!r} cannot be part of a topic name; use letters, "
                 "digits and _"
             )
-    own = [value for name, value in config if name.endswith("_topic")]
+        topics += fin_topics(name, config.fin_prefix).values()
     try:
-        check_names(
-            [
-                *own,
-                *(
-                    topic
-                    for name in robot.fins
-                    for topic in fin_topics(name, config.fin_prefix).values()
-                ),
-            ]
-        )
+        check_names(topics)
     except ValueError as error:
         raise RigError(f"{robot.name}: {error}") from None

@@ -49,14 +49,15 @@ class NewestReference(Generic[InputValue]):
     def newest(self) -> InputValue | None:
         """Return the latest reference; None if there is none or it has expired, which is
         reported."""
+        subscription = self.subscription
+        topic = subscription.topic
         try:
-            self._newest = next(reversed(self.subscription.take()), self._newest)
+            self._newest = next(reversed(subscription.take()), self._newest)
         except DeviceError as error:
             self._once(str(error))
-        if self.subscription.refusal is not None:
-            self._once(self.subscription.refusal)
-        if self.subscription.mismatched():
-            topic = self.subscription.topic
+        if subscription.refusal is not None:
+            self._once(subscription.refusal)
+        if subscription.mismatched():
             self._once(
                 f"{topic}: messages of a publisher cannot be received; it must be reliable, not "
                 "best effort"
@@ -67,7 +68,6 @@ class NewestReference(Generic[InputValue]):
             self.is_lost = timeout is not None and self._clock() - newest[0] > timeout
         if newest is not None and self.is_lost:
             self._newest = newest = None
-            topic = self.subscription.topic
             self._once.report(
                 f"{topic}: no reference for {timeout:g} s, so the last one has expired"
             )

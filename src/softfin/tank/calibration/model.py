@@ -102,10 +102,12 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
     return segments
 
 
-def material(
-    data: str | Path | Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], JsonObject]:
-    """Return the training logs, the test logs, and the hash of the data or the plant's identity.
+Material = tuple[list[Log], list[Log], JsonObject]
+"""Training logs, test logs, and the hash of the data or the plant's identity."""
+
+
+def material(data: str | Path | Plant, config: CalibrateConfig, seed: int) -> Material:
+    """Return what a tank is calibrated from.
 
     `data` is the folder of a dataset or of recordings with their options in log.yaml, or a plant,
     its name, or the folder of a surrogate.
@@ -148,9 +150,7 @@ class _Narrowed(eqx.Module):
         return self.plant.advance(state, command, ticks)
 
 
-def _of_plant(
-    plant: Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], JsonObject]:
+def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> Material:
     limits = Limits(*plant.limits)
     if config.velocity_rad_s is not None:
         low, high = config.velocity_rad_s

@@ -18,11 +18,11 @@ from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.computer import COMPUTER, Computer
-from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.device import CheckResult, CurrentLimits, DriveReading, RefusedError
 from softfin.rig.device_type import DriveType
 from softfin.rig.devices.dynamixel import protocol, setup
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, ServoLink
 from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.drive_safety import (

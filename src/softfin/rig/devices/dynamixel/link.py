@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from softfin.core.errors import DeviceError, one_line
 from softfin.rig.computer import Computer, SerialPort
+from softfin.rig.device import RefusedError
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.protocol import (
     ALERT,
@@ -35,14 +36,6 @@ SETUP_ANSWER_S = 0.1
 
 class NoAnswer(DeviceError):
     """The servo did not respond in time."""
-
-
-class RefusedError(DeviceError):
-    """The servo refused an instruction; `code` is its error number."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
 
 
 class ServoLink:
@@ -91,8 +84,7 @@ class ServoLink:
     def read(self, entry: Entry, answer_s: float = SETUP_ANSWER_S) -> int:
         """Read an entry; raises DeviceError."""
         data = self.read_bytes(entry.address, entry.layout.size, answer_s, str(entry))
-        value: int = entry.layout.unpack(data)[0]
-        return value
+        return int(entry.layout.unpack(data)[0])
 
     def write(self, entry: Entry, value: int, answer_s: float = SETUP_ANSWER_S) -> None:
         """Write an entry; raises DeviceError."""

@@ -6,10 +6,10 @@ emulator, not yet with a real drive.
 """
 
 from collections.abc import Callable, Iterator
+from typing import cast
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.bus import BusConfig
-from softfin.rig.computer import Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.device_type import DriveType
 from softfin.rig.devices.epos2 import procedures, protocol
@@ -268,7 +268,7 @@ class Epos2(Exchange):
         with stopped_afterwards(self):
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
-            self._power_up(then_arm=False, meanwhile=lambda: None)
+            self._power_up(then_arm=False)
             procedures.home(self)
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
 
@@ -440,15 +440,9 @@ class Epos2(Exchange):
             self.stopping.release()
 
 
-def _make(
-    config: Epos2Config,
-    bus: BusConfig | None,
-    clock: Computer,
-    on_fault: Callable[[str], None] | None,
-) -> Epos2:
-    assert bus is not None, "RigConfig requires a bus for this drive"
-    return Epos2(bus, config, clock, on_fault)
-
-
-EPOS2 = DriveType(Epos2Config, _make)
+# RigConfig requires a bus for this drive.
+EPOS2 = DriveType(
+    Epos2Config,
+    lambda config, bus, clock, on_fault: Epos2(cast(BusConfig, bus), config, clock, on_fault),
+)
 """The type `epos2`."""

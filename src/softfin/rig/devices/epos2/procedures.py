@@ -8,9 +8,10 @@ settings when powered down.
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.rig.device import RefusedError
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Epos2Config, Units
-from softfin.rig.devices.epos2.connection import CanConnection, SdoRefusal
+from softfin.rig.devices.epos2.connection import CanConnection
 from softfin.rig.devices.epos2.exchange import Exchange
 from softfin.rig.devices.epos2.protocol import Bit, Object, State, fault_line
 from softfin.rig.drive_safety import Setting, check_no_pause, check_settings, stays_off, try_until
@@ -99,7 +100,7 @@ def read_optional(connection: CanConnection, entry: Object) -> int | None:
     """Read an object of the drive; None if the drive does not have it."""
     try:
         return connection.read(entry)
-    except SdoRefusal as refusal:
+    except RefusedError as refusal:
         if refusal.code not in protocol.MISSING:
             raise
         return None
@@ -155,7 +156,7 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
     for entry, value in protocol.REACTIONS.items():
         try:
             write(connection, entry, value)
-        except SdoRefusal as refusal:
+        except RefusedError as refusal:
             if refusal.code not in protocol.MISSING:
                 raise
             notes.append(
@@ -172,7 +173,7 @@ def set_sync(connection: CanConnection, config: Epos2Config) -> int:
     try:
         connection.write(protocol.SYNC_ID, wanted)
         held = connection.read(protocol.SYNC_ID) & 0x7FF
-    except SdoRefusal:
+    except RefusedError:
         # Not verified whether an EPOS2 allows this change; if not, it keeps the shared SYNC of CiA
         # 301.
         held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF

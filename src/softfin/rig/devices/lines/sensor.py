@@ -8,7 +8,7 @@ from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
 from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
-from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
+from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, parse_line
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
@@ -37,7 +37,6 @@ class LineSource(RecordSource):
         super().__init__(name, "lines", os.path.realpath(port) if port else config.udp_port)
         self.config = config
         self.clock = clock
-        self._parser = LineParser(config)
         self._reader: LineReader | None = None
         self.restart()
 
@@ -143,7 +142,7 @@ class LineSource(RecordSource):
 
     def _take(self, line: TimedLine) -> TimedWrench | None:
         """Count a line; return it if it is a new record."""
-        record = self._parser.parse(line.text)
+        record = parse_line(line.text, self.config)
         if record is not None and line.source not in self._senders:
             self._senders = [*self._senders, line.source][:2]
         if not line.is_expected:
