@@ -32,18 +32,18 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Track a reference force. Episodes never terminate; they are truncated after
     `config.episode_actions`.
 
-    An observation is the angle [units of 90 degrees], the reference (x, y) [units of
-    `config.force_scale_n`], and the last `config.past_actions` + 1 actions (angle, velocity), the
-    latest first. An action (angle, velocity) in [-1, 1] covers the limits of the plant.
-    `info` contains the window's ``error_n``, its Sobolev term ``smoothness_n``, the
-    ``reference_n`` (each x, y) and the ``force_n`` at every tick of the action.
+    An observation consists of the angle [units of 90 degrees], the reference (x, y) [units of
+    `config.force_scale_n`], and the last `config.past_actions` + 1 actions (angle, velocity),
+    latest first. An action (angle, velocity) in [-1, 1] covers the limits of the plant. `info`
+    contains the force error ``error_n`` and the Sobolev term ``smoothness_n`` of the window, the
+    reference ``reference_n`` (each x, y), and the force ``force_n`` at every tick of the action.
 
     `plant` is a Plant or its name: tank, a tank YAML file, a surrogate folder or
-    package.module:plant. The plant is loaded when the environment is created; create a new
-    environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin with its
+    package.module:plant. The plant is loaded when the environment is created, so create a new
+    environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin, its
     force, its mean force and the reference after the last action.
 
-    The default `references` and `config` suit the paper's fin; pass others for a fin of another
+    The default `references` and `config` suit the paper's fin; set them for a fin of a different
     size.
     """
 
@@ -63,7 +63,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self.metadata = self.metadata | {"render_fps": round(clock.rate_hz)}
         self.references = references
         self.render_mode = render_mode
-        # Bounds: the angle, which may overshoot its limits, the references, the actions.
+        # Bounds of the angle (which may overshoot its limits), the reference and the actions.
         limits = self.task.plant.limits
         angle_rad = max(np.pi, 1.5 * abs(limits.angle_min), 1.5 * abs(limits.angle_max))
         greatest = np.abs([references.low, references.high]).max(axis=0)
@@ -75,7 +75,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        # Wrapped in new functions, because JAX would otherwise reuse the trace of an equal task.
+        # Wrapped in new functions because JAX would otherwise reuse the trace of an equal task.
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
@@ -85,8 +85,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the fin to rest; ``options={"reference": (x, y)}`` sets the reference, otherwise it
-        is drawn at random."""
+        """Reset the fin to rest. ``options={"reference": (x, y)}`` sets the reference; otherwise,
+        it is drawn at random."""
         super().reset(seed=seed)
         references = self.references
         if unknown := set(options or {}) - {"reference"}:
@@ -143,7 +143,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
             raise InputError(
                 f'{ID}: cannot render; create it with render_mode="rgb_array" and call reset first'
             )
-        # Imported here, because Matplotlib imports slowly and is needed only for rendering.
+        # Imported here because importing Matplotlib is slow and needed only for rendering.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 

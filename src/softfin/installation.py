@@ -1,5 +1,5 @@
-"""Parts of softfin that are installed, and the command that adds an extra. Standard library
-only."""
+"""Detects the installed parts of softfin and suggests the command that adds an extra. It uses only
+the standard library."""
 
 import importlib.metadata
 import re
@@ -14,7 +14,7 @@ DISTRIBUTIONS = {
     "stable_baselines3": "sb3-contrib",
     "yaml": "pyyaml",
 }
-"""Distribution names by module name, if the two differ."""
+"""Distribution names, keyed by module name, if the two differ."""
 
 
 def installed_version(distribution: str) -> str | None:

@@ -1,6 +1,6 @@
 """The command line: ``softfin COMMAND``.
 
-A command's module is imported only when the command runs.
+The module of a command is imported only when the command runs.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ class Command(NamedTuple):
     """One entry in the list of commands."""
 
     place: str
-    """The command's function, as ``module:name``."""
+    """Function of the command, as ``module:name``."""
     summary: str
     """Description in the list of commands."""
 
@@ -158,9 +158,10 @@ def script() -> None:
 
 
 def _replace_closed_streams() -> None:
-    """Open the null device in place of standard streams that the shell closed, as ``>&-`` does.
+    """Open the null device in place of standard streams that the shell has closed, e.g. with
+    ``>&-``.
 
-    Otherwise the next file that a command opens would receive what it prints.
+    Otherwise, the next file that a command opens would receive the printed output.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) < MIN_FILE_DESCRIPTOR:
         pass
@@ -170,7 +171,7 @@ def _replace_closed_streams() -> None:
 
 
 def _is_reader_gone() -> bool:
-    """Whether the program that read standard output through a pipe has ended."""
+    """Return whether the program that reads standard output through a pipe has ended."""
     poll = select.poll()
     poll.register(sys.stdout, 0)
     return any(event & select.POLLERR for _, event in poll.poll(0))
@@ -231,7 +232,7 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _can_resume(name: str, words: Sequence[str]) -> bool:
-    """Whether a stopped command can be continued: simulated motions are recorded again."""
+    """Return whether a stopped command can be resumed; simulated motions are recorded again."""
     from softfin.storage.registry import is_live
 
     return name != "collect" or any(is_live(word.removeprefix("--plant=")) for word in words)
@@ -268,7 +269,7 @@ def _call(
 
 def _configure_process() -> None:
     """Set the environment variables that NumPy, JAX and XLA read on import."""
-    # XLA's compilation messages would bury a command's own output.
+    # Compilation messages from XLA would hide the output of the command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     # OpenBLAS threads busy-wait for each other. On a loaded machine, sums that cost 0.1 s of CPU
     # time on one thread took from 9 s to a minute.

@@ -29,10 +29,10 @@ from softfin.core.configuration import Changes, option_name, read_yaml, suggest_
 from softfin.core.errors import ConfigurationError
 
 CONFIG = "config"
-"""Name of the parameter that any field of a configuration changes."""
+"""Name of the parameter that accepts any field of a configuration as an option."""
 
 FLAG_SIMILARITY = 0.8
-"""Minimum similarity of a misspelt flag to the flag, from 0 to 1. The fields of softfin's
+"""Minimum similarity of a misspelled flag to the flag, from 0 to 1. The fields of softfin's
 configurations differ more from the flags of their commands."""
 
 EPILOGUE = (
@@ -56,7 +56,7 @@ def make_app(function: Callable[..., object], program: str = "softfin") -> App:
             negative=(),
             name_transform=option_name,
             show_default=_show_default,
-            # The last value counts, so that a script may append options.
+            # The last value is used, so that a script may append options.
             allow_repeating=True,
         ),
     )
@@ -72,7 +72,8 @@ def _show_default(default: object) -> str | None:
 
 
 def list_options(function: Callable[..., object], flags: bool = False) -> tuple[str, ...]:
-    """Return the names of a function's options and positional arguments, or only of its flags."""
+    """Return the names of the options and positional arguments of a function, or only of its
+    flags."""
     arguments = make_app(function).assemble_argument_collection()
     shown = [each for each in arguments if each.show and (each.hint is bool or not flags)]
     return tuple(name for argument in shown for name in argument.names)
@@ -119,7 +120,7 @@ def parse(
         file = None
         if CONFIG in given:
             file = Path(given[CONFIG])
-            # Reported now, because the function first imports what it configures.
+            # Report the error now, because the function first imports slow modules.
             read_yaml(file)
         given[CONFIG] = Changes(file, changes, options)
     return partial(function, *bound.args, **given)
@@ -183,7 +184,7 @@ def _explain_missing(
     name = argument.name
     if argument.field_info.kind is not inspect.Parameter.KEYWORD_ONLY:
         name = name.removeprefix("--").upper()
-    # What is missing may have become the value of a misspelt option.
+    # The missing value may have been parsed as the value of a misspelled option.
     values = "".join(f"; {text} is the value of {option}" for option, text in changes.items())
     return f"{name}: missing{values}; {usage}"
 
@@ -201,7 +202,7 @@ def _explain_unused(
     if option not in changes:
         hint = "--help lists the arguments and options"
         parameters = [*inspect.signature(function).parameters.values()]
-        # A command without arguments begins with the option for what it works on.
+        # A command without positional arguments starts with the option for its input.
         if parameters and parameters[0].kind is inspect.Parameter.KEYWORD_ONLY:
             hint = f"did you mean --{option_name(parameters[0].name)} {token}? {hint}"
         return f"{token}: unexpected argument; {hint}"
@@ -213,7 +214,7 @@ def _explain(error: CycloptsError) -> str:
     """Return one line that describes an error."""
     if isinstance(error.__cause__, ValidationError):
         first = error.__cause__.errors()[0]
-        # Within a field, the place is not a part of the option.
+        # Within a field, the location is not part of the option.
         field = option_name(str(first["loc"][0]))
         return f"--{field} {first['input']}: {first['msg'].removeprefix('Value error, ')}"
     error.verbose = False

@@ -20,8 +20,8 @@ PACE_S = 10.0
 
 
 def print_result(result: object, as_json: bool) -> None:
-    """Print the result of a command, as JSON or as text; an iterator's items as soon as they are
-    available."""
+    """Print the result of a command as JSON or text; the items of an iterator are printed as soon
+    as they are available."""
     if isinstance(result, Iterator):
         _print_items(result, as_json)
     elif as_json:
@@ -31,8 +31,8 @@ def print_result(result: object, as_json: bool) -> None:
 
 
 def _print_text(text: str) -> None:
-    """Print lines, on a terminal no wider than it. Lines with a command stay whole, so that it can
-    be copied."""
+    """Print lines, wrapped to the width of a terminal. Lines with a command are not wrapped, so
+    that the command can be copied."""
     width = shutil.get_terminal_size().columns
     for line in text.split("\n"):
         shown = line
@@ -56,7 +56,7 @@ def _print_items(items: Iterator[object], as_json: bool) -> None:
                 _print_text(printable(str(item)))
                 sys.stdout.flush()
     finally:
-        # Also if the last item is followed by an error.
+        # This also applies if the last item is followed by an error.
         if as_json:
             sys.stdout.write(artifacts.dump_json(found))
 
@@ -108,8 +108,8 @@ class ProgressLines:
         (end, last) = self._last
         if last <= first or last >= 1:
             return None
-        # At the pace so far: time per unit of work, times the work left, less the time since the
-        # last report.
+        # At the pace so far: the time per unit of work times the remaining work, minus the time
+        # since the last report.
         pace_s = (end - begin) / (last - first)
         return max(float(round(pace_s * (1 - last) - (now - end))), 0.0)
 

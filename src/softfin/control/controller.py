@@ -1,7 +1,7 @@
-"""The controller contract: a reference force in, a command out, three times per second.
+"""The interface of a controller, which turns a reference force into a command three times per
+second.
 
-The same controller runs with NumPy on a robot, where JAX is not imported, and as a pytree in JAX
-programs.
+The same controller runs with NumPy on a robot, without JAX, and as a pytree in JAX programs.
 """
 
 import dataclasses
@@ -24,21 +24,21 @@ ControllerState: TypeAlias = Any
 Pair: TypeAlias = tuple[float, float]
 
 MAX_MEASUREMENT = 1e6
-"""Magnitude above which a measurement must be wrong [rad, N]."""
+"""Magnitude above which a measurement is treated as invalid [rad, N]."""
 
 
 class Measured(NamedTuple):
     """Measurements available to a controller when it acts."""
 
     angle: Array
-    """Last reading of the shaft's angle [rad]; 0 before the first."""
+    """Latest reading of the shaft angle [rad]; 0 before the first reading."""
     force: Array
-    """Mean force (x, y) of the readings since the last action [N]; 0 before the first."""
+    """Mean force (x, y) since the last action [N]; 0 before the first action."""
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Contract of a controller, which holds a reference force by commanding one fin.
+    """Interface of a controller, which commands one fin so that its mean force tracks a reference.
 
     It is deterministic and has no batch axes; `jax.vmap` adds them. Two optional attributes define
     which references it can hold: the `cells` that it was trained for, and the `reachable` forces.
@@ -55,14 +55,13 @@ class Controller(Protocol):
         ...
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError if the reference [N] is outside the range for which the controller
-        was trained."""
+        """Raise CoverageError if the controller was not trained for the reference [N]."""
         ...
 
 
 @runtime_checkable
 class ControllerStep(Protocol):
-    """Contract of the step of one kind of controller, implemented with `Operations`."""
+    """Interface of the step of one kind of controller; steps are implemented with `Operations`."""
 
     kind: str
 
@@ -77,7 +76,7 @@ class ControllerStep(Protocol):
 
 
 class TrainingRange(NamedTuple):
-    """Range of the readings in the training data of a controller's surrogate; None if unknown."""
+    """Range of the readings in the surrogate's training data; None if unknown."""
 
     angle_rad: Pair | None
     velocity_rad_s: Pair | None
@@ -103,22 +102,22 @@ STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
 """Metadata of a field without arrays, which is a constant in compiled programs."""
 
 DROPPED: Mapping[str, bool] = MappingProxyType({"dropped": True})
-"""Metadata of a field that JAX ignores; copies made by JAX have its default value."""
+"""Metadata of a field that JAX ignores; in copies made by JAX, the field has its default value."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LoadedController:
-    """A controller of any kind, as loaded from a folder; implements `Controller`."""
+    """A controller of any kind, loaded from a folder; implements `Controller`."""
 
     step: ControllerStep
     limits: Limits = dataclasses.field(metadata=STATIC)
-    """Limits of the plant in which it was trained; its commands never exceed them."""
+    """Limits of the plant on which the controller was trained; its commands never exceed them."""
     cells: Cells = dataclasses.field(metadata=STATIC)
-    """References for which it was trained [N]."""
+    """References for which the controller was trained [N]."""
     reachable: Reachable | None = None
     """Reachable mean forces of the fin, if known."""
-    # Not static: otherwise, each origin would need its own compiled program. A program that returns
-    # a controller would even return the origin with which it was compiled.
+    # Not static: otherwise, each origin would need its own compiled program, and a program that
+    # returns a controller would return the origin with which it was compiled.
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
     clock: ActionClock = dataclasses.field(default=PAPER_CLOCK, metadata=STATIC)
 
@@ -137,8 +136,8 @@ class LoadedController:
         """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:
-            RunError: a measurement or the reference is not finite (not checked under JAX), or has a
-                different shape.
+            RunError: If a measurement or the reference is not finite (not checked under JAX), or
+                has a different shape.
         """
         try:
             angle, force = measured
@@ -182,5 +181,5 @@ class LoadedController:
 
 
 def controller_clock(controller: object) -> ActionClock:
-    """Return the clock of a controller; the paper's for a controller without `clock`."""
+    """Return the clock of a controller, or the paper's clock if the controller has no `clock`."""
     return getattr(controller, "clock", PAPER_CLOCK)

@@ -7,22 +7,23 @@ estimated difference is a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe a
 acts like an integrator that accounts for its own output, so the delay of the window does not
 destabilise it.
 
-The sensor measures the sum of the controller's bias b and its own drift d: e = b + d. Only b may be
-corrected; a correction of d would move the true force away from the reference. Their time courses
-differ. The sensor is zeroed at rest, so d starts at 0 and then wanders, while b exists from the
-start and changes with the reference. A Kalman filter with the states b and d on each axis therefore
-attributes an early error to the controller and a late, slow error to the sensor:
+The measured difference is the sum of the controller's bias b and the sensor drift d: e = b + d.
+Only b may be corrected; a correction of d would move the true force away from the reference. The
+two change differently over time. The sensor is zeroed at rest, so d starts at 0 and then wanders,
+while b exists from the start and changes with the reference. A Kalman filter with the states b and
+d on each axis therefore attributes an early error to the controller and a late, slow error to the
+sensor:
 
     b: random walk over the distance that the reference moves
     d: Ornstein-Uhlenbeck process from 0, with the standard deviation sqrt(2) drift_n and the
        time constant 2 drift_s
 
 After zeroing, a sensor whose drift w(t) has the standard deviation drift_n and the time constant
-drift_s reads w(t) - w(0). The variance of this is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the
-variance of d.
+drift_s reads w(t) - w(0). The variance of this reading is 2 drift_n^2 (1 - exp(-t / drift_s)),
+which is the variance of d.
 
-An error that drift cannot explain, such as a sudden one, indicates a change in the fin and reopens
-the estimate of b.
+If drift cannot explain an error, because it is sudden for example, the fin has changed, and the
+observer estimates b again.
 
 The separation has two limits. Every movement of the reference adds to the variance of b, even if
 the reference returns to an earlier value. If the reference keeps moving for minutes, the observer
@@ -30,7 +31,7 @@ therefore assigns the drift to b and wrongly corrects it. At a constant referenc
 assigns a slow change in the fin to d and corrects very little of it.
 
 The inner reference stays within the controller's cells and the reachable forces, so the observer
-does not wind up at their edge.
+does not wind up at the edge.
 """
 
 import math
@@ -75,8 +76,8 @@ def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
 
 
 UNSTEADY = 3.0
-"""Change in the window's error within the last `UNSTEADY_ACTIONS`, divided by its noise, above
-which the fin counts as not settled."""
+"""Change in the window error within the last `UNSTEADY_ACTIONS`, divided by its noise, above which
+the fin is treated as not settled."""
 
 UNSTEADY_ACTIONS = 3
 
@@ -84,19 +85,19 @@ UNSTEADY_ACTIONS = 3
 class DisturbanceObserverConfig(Configuration):
     """Configuration of the force feedback.
 
-    A force that is null gets the value that was tuned on the paper's fin (`ObserverForces`), scaled
+    If a force is null, softfin uses the value tuned on the paper's fin (`ObserverForces`), scaled
     by the size of the fin.
     """
 
     bias_n: PositiveFloat | None = None
     """Prior standard deviation of the controller's force error [N]; null: 0.2 N, scaled."""
     bias_per_n: NonNegativeFloat | None = None
-    """Standard deviation of the change in that error when the reference moves by 1 N [N]; the
-    variance is proportional to the distance, so a slow movement adds as much as a step. Null: 0.03
-    N, scaled."""
+    """Standard deviation of the change in the force error when the reference moves by 1 N [N];
+    null: 0.03 N, scaled. The variance is proportional to the distance, so a slow movement adds as
+    much as a step."""
     drift_n: NonNegativeFloat | None = None
-    """Standard deviation of the drift of a force sensor without zeroing [N]; 0 attributes every
-    error to the controller. Null: 0.05 N, scaled."""
+    """Standard deviation of the sensor drift without zeroing [N]; null: 0.05 N, scaled. If it is 0,
+    every error is attributed to the controller."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     noise_n: PositiveFloat | None = None
@@ -104,19 +105,19 @@ class DisturbanceObserverConfig(Configuration):
     scaled."""
     lag_actions: NonNegativeInt = 1
     """Number of actions until the force follows the reference; the window of references is shifted
-    by it."""
+    by this number."""
     settle_actions: PositiveInt | None = None
-    """Number of actions after rest without any estimation, because the fin is still starting; null:
-    one more than the window and the lag."""
+    """Number of actions without estimation after rest, while the fin is starting; null: one more
+    than the window and the lag."""
     still_n: PositiveFloat | None = None
-    """Movement within the window up to which the reference is treated as constant [N]; above it,
-    the variance of the noise grows with the fourth power of the movement. Null: 0.05 N, scaled."""
+    """Largest movement of the reference within the window that is treated as none [N]; null: 0.05
+    N, scaled. Above it, the noise variance grows with the fourth power of the movement."""
     limit_n: PositiveFloat | None = None
-    """Limit of the correction of each axis [N]; null: 1 N, scaled."""
+    """Maximum correction per axis [N]; null: 1 N, scaled."""
 
 
 class ObserverForces(NamedTuple):
-    """The forces of a configuration, for one fin; the defaults were tuned on the paper's."""
+    """Configured forces for one fin; the defaults were tuned on the paper's fin."""
 
     bias_n: float = 0.2
     bias_per_n: float = 0.03
@@ -129,18 +130,19 @@ class ObserverForces(NamedTuple):
     def for_fin(
         cls, config: DisturbanceObserverConfig, reachable: Reachable | None
     ) -> "ObserverForces":
-        """Return the configured forces; those left out are scaled to the fin, whose size is 1 if
-        its reach is unknown."""
+        """Return the configured forces. Defaults are scaled to the fin, or unscaled if its reach is
+        unknown."""
         size = 1.0 if reachable is None else reachable.size
         forces = cls(*(size * force for force in cls()))
-        # The variance bias_per_n^2 distance is a squared force, and the distance is scaled already.
+        # The variance bias_per_n^2 * distance is a squared force, and the distance is already
+        # scaled.
         forces = forces._replace(bias_per_n=size**0.5 * cls().bias_per_n)
         configured = config.model_dump(include=set(cls._fields), exclude_none=True)
         return forces._replace(**configured)
 
 
 class DisturbanceObserverState(NamedTuple):
-    """State of the observer and of the inner controller; series start with the newest value."""
+    """State of the observer and the inner controller; series are newest first."""
 
     bias: Array
     """Estimated steady-state force error of the controller (x, y) [N]."""
@@ -157,20 +159,20 @@ class DisturbanceObserverState(NamedTuple):
     references: Array
     """Uncorrected references of the last actions [N]."""
     errors: Array
-    """Window errors at the last actions (x, y) [N]."""
+    """Window errors (x, y) at the last actions [N]."""
     age: Number
     """Number of actions since the start."""
 
 
 @dataclass(frozen=True)
 class DisturbanceObserver:
-    """A controller with force feedback around it; implements `Controller`, like the inner one."""
+    """A controller with force feedback around an inner controller; both implement `Controller`."""
 
     controller: Any
     """The inner controller, a `Controller`."""
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
     newtons: ObserverForces | None = field(default=None, metadata=STATIC)
-    """Forces of the configuration; None: those for the reach of the inner controller."""
+    """Configured forces; None: the forces for the reach of the inner controller."""
 
     def __post_init__(self) -> None:
         least = self.clock.window_actions + self.config.lag_actions
@@ -180,8 +182,8 @@ class DisturbanceObserver:
                 f"{self.config.lag_actions}: the window of references is only full after {least} "
                 f"actions; set settle_actions to {least} or more"
             )
-        # JAX creates the observer again inside a compiled program, where the reach has no value; by
-        # then the forces are set.
+        # JAX recreates the observer inside a compiled program, where the reach has no value; the
+        # forces are already set by then.
         if self.newtons is None:
             newtons = ObserverForces.for_fin(self.config, self.reachable)
             object.__setattr__(self, "newtons", newtons)
@@ -193,7 +195,7 @@ class DisturbanceObserver:
 
     @property
     def settle_actions(self) -> int:
-        """Number of actions after rest without any estimation."""
+        """Number of actions without estimation after rest."""
         config = self.config
         return config.settle_actions or self.clock.window_actions + config.lag_actions + 1
 
@@ -215,12 +217,12 @@ class DisturbanceObserver:
 
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None for a controller that
-        covers everything."""
+        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None if the controller covers
+        every reference."""
         return cell_corners(self.cells) if self.cells else None
 
     def init(self) -> DisturbanceObserverState:
-        """Return the state for a fin at rest with a freshly zeroed sensor."""
+        """Return the state for a fin at rest whose sensor has just been zeroed."""
         controller: Controller = self.controller
         assert self.newtons is not None
         window_actions = self.clock.window_actions
@@ -240,7 +242,7 @@ class DisturbanceObserver:
     def act(
         self, state: DisturbanceObserverState, measured: Measured, reference: Array
     ) -> tuple[DisturbanceObserverState, Command]:
-        """Let the inner controller act on the reference minus the estimated bias."""
+        """Run the inner controller on the reference minus the estimated bias."""
         ops = select_operations(*measured, reference, state.bias)
         xp = ops.xp
         force = xp.asarray(measured.force)
@@ -270,7 +272,7 @@ class DisturbanceObserver:
     def _estimate(
         self, ops: Operations, state: DisturbanceObserverState, error: Array, reference: Array
     ) -> tuple[Array, Array, Array]:
-        """Return bias, drift and their covariance after one step of the Kalman filter."""
+        """Return the bias, the drift and their covariance after one step of the Kalman filter."""
         config = self.config
         newtons = self.newtons
         assert newtons is not None
@@ -288,13 +290,13 @@ class DisturbanceObserver:
         drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * newtons.drift_n**2
         # While the reference moves, the fin's lag looks like an error for the entire movement, so
         # averaging neighbouring windows does not remove it, and the noise is raised instead. Only
-        # the uncorrected references count as movement; otherwise, the correction's own motion would
-        # block its updates.
+        # changes in the uncorrected references count as movement; otherwise, each correction would
+        # block the next update.
         highest = xp.maximum(state.references.max(axis=0), reference)
         lowest = xp.minimum(state.references.min(axis=0), reference)
         movement = xp.maximum((highest - lowest).max(), newtons.still_n)
-        # While the fin starts, or reacts to a correction, the window's error also changes. It is
-        # then not the steady-state error, and following it could make a slow fin oscillate.
+        # The window error also changes while the fin starts or reacts to a correction. It is not
+        # the steady-state error then, and following it could make a slow fin oscillate.
         change = abs(error - state.errors).max()
         unsteady = xp.maximum(change / (UNSTEADY * newtons.noise_n), 1.0)
         moving = (movement / newtons.still_n) ** 2 * unsteady**2
@@ -329,9 +331,10 @@ class DisturbanceObserver:
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
         """Move the corrected reference into the reachable forces and the controller's cells.
 
-        A correction may lead into another cell. If it leads between cells, it stops at the edge of
-        the reference's own cell. Cells are applied last: outside the cells, the controller's
-        commands are meaningless, while outside the reachable forces, the fin only falls short.
+        A correction may move the reference into a different cell. If it would move the reference
+        between cells, it stops at the edge of the original cell. Cells are applied last: outside
+        the cells, the controller's commands are meaningless, while outside the reachable forces,
+        the fin only falls short.
         """
         if self.reachable is not None:
             corrected = self.reachable.project(corrected)
@@ -341,7 +344,7 @@ class DisturbanceObserver:
         low, high = map(ops.constant, self._corners)
         within = ((low <= corrected) & (corrected <= high)).all(axis=1).any()
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0.0)
-        # The reference's own cell is the one nearest to the uncorrected reference.
+        # The original cell is the one nearest to the uncorrected reference.
         own = (beyond**2).sum(axis=1).argmin()
         clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
         return xp.where(within, corrected, clipped)

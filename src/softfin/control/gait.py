@@ -1,5 +1,5 @@
-"""Gaits as a controller, without a network: a table with the actions of one window for each node
-of a lattice of references, and interpolation between the nodes.
+"""A controller without a network: a table with the actions of one window for each node of a lattice
+of references. Between the nodes, it interpolates.
 
 ``softfin map`` finds the gaits.
 """
@@ -18,13 +18,13 @@ class GaitState(NamedTuple):
     """State of a gait controller."""
 
     age: Number
-    """Number of actions since the start; it is not reset when the reference moves, so that the gait
-    keeps its phase."""
+    """Number of actions since the start; not reset when the reference moves, so that the gait keeps
+    its phase."""
 
 
 @dataclass(frozen=True)
 class GaitStep:
-    """Step of a gait controller; it is open loop and ignores the angle."""
+    """Step of a gait controller, which is open loop and ignores the angle."""
 
     kind: ClassVar[str] = "gaits"
     table: GaitTable

@@ -1,8 +1,7 @@
 """Grid-switching (paper Sec. III-C3, second design): one policy per cell of reference forces.
 
-The policy is switched when the reference enters another cell. The next policy first replays the
-observations of the last window of the clock, so that its memory is that of a policy that has been
-active all along.
+The policy is switched when the reference enters a different cell. The new policy first replays the
+observations of the last window, so its memory is the same as if it had been active throughout.
 """
 
 from dataclasses import dataclass, field
@@ -21,15 +20,15 @@ from softfin.gaits.reachable import Cells, cell_corners
 
 
 class GridState(NamedTuple):
-    """Memory of the active policy, and the data that another policy needs to take over."""
+    """Memory of the active policy, and the data that a different policy needs to take over."""
 
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], newest first: one window, and the earlier actions observed at its
-    start."""
+    """Past actions in [-1, 1], newest first: one window, and the earlier actions that its first
+    observation contains."""
     angles: Array
-    """Angle of the shaft at each action of the last window, newest first [rad]."""
+    """Shaft angle at each action of the last window, newest first [rad]."""
     age: Number
     """Number of actions since the start."""
     active_cell: Number
@@ -58,7 +57,8 @@ class GridStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["GridStep", Cells]:
-        """Build the step from a controller's description and arrays; return it with its cells."""
+        """Build the step from a controller's description and arrays; return the step and its
+        cells."""
         if not cells:
             raise ValueError("cells: empty; a grid needs at least one cell")
         observation = PolicyObservation.from_description(description)
@@ -84,7 +84,7 @@ class GridStep:
         )
 
     def act(self, ops: Operations, state: GridState, now: Array) -> tuple[GridState, Array]:
-        """Compute the deterministic action of the policy of the reference's cell."""
+        """Compute the deterministic action of the policy for the reference's cell."""
         xp = ops.xp
         reference = now[1:]
         active_cell = self.nearest_cell(ops, reference)

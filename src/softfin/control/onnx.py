@@ -67,7 +67,7 @@ class Exported(NamedTuple):
 
 
 class OnnxOperations(Operations):
-    """Operations with ndonnx, which adds operators to a graph; both of two choices are computed."""
+    """Operations with ndonnx, which adds operators to a graph; `choose` computes both values."""
 
     def __init__(self) -> None:
         import ndonnx
@@ -82,13 +82,13 @@ class OnnxOperations(Operations):
     def choose(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Select with ``where``, part by part."""
+        """Select with ``where``, leaf by leaf."""
         one: Any = then()
         other: Any = otherwise()
         return tuple(self.xp.where(condition, a, b) for a, b in zip(one, other, strict=True))
 
     def dot(self, vector: Array, matrix: Array) -> Array:
-        """Multiply with a MatMul; ndonnx's own has branches for arrays without elements."""
+        """Multiply with a MatMul operator; the ndonnx function adds branches for empty arrays."""
         operators = importlib.import_module("spox.opset.ai.onnx.v17")
         product = operators.matmul(vector.unwrap_spox(), self.constant(matrix).unwrap_spox())
         return self.xp.asarray(product)
@@ -106,22 +106,22 @@ class OnnxOperations(Operations):
         return self.xp.clip(number, low, high)
 
     def constant(self, values: object) -> Any:
-        """Convert to constants of the graph, each array to one."""
+        """Convert each array to a constant of the graph."""
         if isinstance(values, tuple):
             return type(values)(*map(self.constant, values))
         if not isinstance(values, np.ndarray):
             return values
-        # The array is kept, so that no other array can get its id.
+        # The array is kept so that no other array can have the same id.
         return self._constants.setdefault(id(values), (values, self.xp.asarray(values)))[1]
 
 
 def export_onnx(controller: LoadedController, file: Path, overwrite: bool = False) -> Exported:
-    """Write the step to a file, checked by onnx and run by onnxruntime.
+    """Write the step to a file, after checking it with onnx and running it with onnxruntime.
 
     Raises:
-        ConfigurationError: the extra is not installed.
-        ArtifactError: the file already exists.
-        RunError: the exported step's commands differ from NumPy's; nothing is written.
+        ConfigurationError: If the extra is not installed.
+        ArtifactError: If the file already exists.
+        RunError: If the exported step's commands differ from NumPy's; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
     _check_extra()
@@ -283,6 +283,6 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         state = dict(zip(state, after, strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
         difference = np.abs(np.array(command) - (exported_angle, exported_velocity)).max()
-        # NaN, which is not equal to itself, must not pass as no difference.
+        # NaN must not be treated as no difference.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst

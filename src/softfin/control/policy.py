@@ -1,4 +1,5 @@
-"""The step of a policy, from observation and memory to action and memory (paper Sec. III-C2):
+"""The step of a policy: it computes an action and a new memory from an observation and a memory
+(paper Sec. III-C2).
 
     gates   = [observation, hidden] kernel + bias
     cell'   = s(f) cell + s(i) tanh(g)
@@ -44,7 +45,7 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
 
     @classmethod
     def from_description(cls, description: JsonObject) -> "PolicyObservation":
-        """Build from a controller's description; its `clock` replaces that of its task."""
+        """Build from a controller's description, whose `clock` replaces the clock of its task."""
         return cls.model_validate(description["task"] | {"clock": description["clock"]})
 
     @property
@@ -59,8 +60,8 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
         return units
 
     def observe(self, ops: Operations, now: Array, actions: Array) -> Array:
-        """Return the observation in SI units, with as many of the past `actions` (newest first) as
-        the policy observes."""
+        """Return the observation in SI units, with as many past `actions` (newest first) as the
+        policy observes."""
         observation: Array = ops.xp.concat([now, actions[: 2 * (self.past_actions + 1)]])
         return observation
 
@@ -73,13 +74,13 @@ class PolicyMemory(NamedTuple):
 
 
 class PolicyNetwork(NamedTuple):
-    """Folded weights, with gates in the order input, forget, output, cell.
+    """Folded weights; the order of the gates is input, forget, output, cell.
 
     The weights of a grid have a leading axis of cells.
     """
 
     kernel: Array
-    """Weights of observation and hidden state ``(size + units, 4 units)``."""
+    """Weights for the observation and the hidden state ``(size + units, 4 units)``."""
     bias: Array
     hidden: Array
     hidden_bias: Array
@@ -114,7 +115,7 @@ def fold(
     """Build a network from the named arrays of a trained policy, or of several policies stacked
     along a leading axis.
 
-    Raises ValueError for arrays that are missing, unknown or of the wrong shape.
+    Raises ValueError if an array is missing, is unknown or has the wrong shape.
     """
     # The first axis of a layer's kernel is its input size; missing arrays are reported below.
     units, width = (

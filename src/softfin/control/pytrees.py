@@ -17,7 +17,7 @@ def register_controllers() -> None:
     """Register the classes of controllers as pytrees; fields are leaves unless they are `STATIC` or
     `DROPPED`.
 
-    The classes cannot do it themselves, because a robot runs them without JAX.
+    The classes cannot register themselves, because a robot runs them without JAX.
     """
     for each in (LoadedController, DisturbanceObserver, SingleStep, GridStep, GaitStep):
         names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}

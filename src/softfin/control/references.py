@@ -21,12 +21,13 @@ from softfin.gaits.reachable import (
 )
 
 CELL_EDGE_FRACTION = 3e-5
-"""References outside a cell by less than this fraction of its largest force are on its edge: forces
-are float32, which rounds their decimals."""
+"""References outside a cell by less than this fraction of its largest force are treated as on its
+edge, because forces are rounded to float32."""
 
 
 PATTERN_SCALES = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1])
-"""Sizes, relative to the natural one, at which the pattern of the paper's references is tried."""
+"""Scale factors, relative to the natural size, at which the pattern of the paper's references is
+tried."""
 
 SPREAD = 0.6
 """Distance of the six references from the centre, as a fraction of the reach, if the paper's
@@ -36,11 +37,11 @@ pattern does not fit at any size."""
 def default_references(
     reachable: Reachable | None, cells: Sequence[Cell] = ()
 ) -> tuple[ForceVector, ...]:
-    """Return the six reference forces for the evaluation of a controller with these cells [N].
+    """Return the six reference forces for evaluating a controller with these cells [N].
 
     These are the paper's references if the reach is unknown, if a fin of the paper's size can
-    produce them, or if the controller was trained for them and not for all of the fin reach.
-    Otherwise their pattern is scaled to the reach, and mirrored if it fits only that way.
+    produce them, or if the controller was trained only for them. Otherwise, their pattern is scaled
+    to the reach, and mirrored if necessary.
     """
     references = _scaled_references(reachable)
     if _covers(cells, references) or not _covers(cells, PAPER_REFERENCES):
@@ -80,8 +81,8 @@ def _rounded(forces: Forces, scale: float) -> tuple[ForceVector, ...]:
 
 
 def controller_cells(controller: object) -> Cells:
-    """Return the cells that a controller was trained for; empty for a controller without `cells`,
-    which covers everything."""
+    """Return the cells for which a controller was trained; empty for a controller without `cells`,
+    which covers every reference."""
     return cast(Cells, getattr(controller, "cells", None) or ())
 
 
@@ -133,8 +134,8 @@ def resolve_reference(
 def nearest_trackable(controller: Any, forces: Forces) -> Forces:
     """Replace unreachable forces by the nearest reachable ones within the controller's cells.
 
-    Raises CoverageError for a reachable force that the controller was not trained for, and if none
-    of the forces that it was trained for is reachable.
+    Raises CoverageError if the controller was not trained for a reachable force, or if it was
+    trained for unreachable forces only.
     """
     reachable = reachable_set(controller)
     beyond = np.zeros(len(forces), bool) if reachable is None else ~reachable.contains(forces)

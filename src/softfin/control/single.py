@@ -41,7 +41,8 @@ class SingleStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["SingleStep", Cells]:
-        """Build the step from a controller's description and arrays; return it with its cell."""
+        """Build the step from a controller's description and arrays; return the step and its
+        cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: got {len(cells)}; a single controller must have one")
         observation = PolicyObservation.from_description(description)

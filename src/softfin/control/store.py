@@ -33,7 +33,7 @@ CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, 
 
 
 def load_controller(path: str | Path) -> LoadedController:
-    """Load the controller from a folder; raises ArtifactError if it is missing or damaged.
+    """Load the controller from a folder; raises ArtifactError if the folder is missing or damaged.
 
     If JAX is already imported, compiled functions can take the controller as an argument.
     """
@@ -111,7 +111,8 @@ def write_controller(
 ) -> None:
     """Write a controller completely or not at all.
 
-    `keys` and `arrays` depend on its kind; `extra_files` writes more files into the folder.
+    `keys` and `arrays` depend on the kind of controller; `extra_files` writes additional files into
+    the folder.
     """
     description = {
         "controller": kind,
@@ -130,14 +131,13 @@ def save_gaits(
     keys: Mapping[str, object],
     overwrite: bool = False,
 ) -> None:
-    """Write the gaits of a map as a controller, with its figure ``map.png``,
-    completely or not at all.
+    """Write the gaits of a map as a controller with the figure ``map.png``, completely or not at
+    all.
 
-    `tolerance_n` is the maximum force error of a gait whose force counts as reachable; `keys` are
-    further entries of ``controller.json``.
+    `tolerance_n` is the maximum force error of a gait whose force is treated as reachable; `keys`
+    are additional entries of ``controller.json``.
     """
-    # Imported here, because importing Matplotlib takes time and reading a controller does not need
-    # it.
+    # Imported here because importing Matplotlib takes time and is not needed to read a controller.
     from softfin.gaits.figure import map_figure
     from softfin.storage.figures import save_figure
 

@@ -1,4 +1,5 @@
-"""The action clock: when actions follow each other, and over how many of them forces are averaged.
+"""The action clock: the durations of actions, and the number of actions over which forces are
+averaged.
 
 The paper's clock is `PAPER_CLOCK`: actions at exactly 3.0 Hz on ticks of 10 ms, which last 33, 33
 and 34 ticks in turn, and windows of six actions, 2 s. No JAX.
@@ -25,14 +26,15 @@ MAX_CYCLE_ACTIONS = 20
 class ActionClock(Configuration):
     """Durations of actions, and the window in which forces are averaged.
 
-    The window is a multiple of the cycle, so it has the same length at every action, and a motion
-    that repeats with it causes no ripple in the window's mean.
+    The window is a multiple of the cycle, so it has the same length at every action. A motion with
+    the period of the window causes no ripple in the mean.
     """
 
     ticks: tuple[PositiveInt, ...] = Field((33, 33, 34), min_length=1, max_length=MAX_CYCLE_ACTIONS)
     """Durations of consecutive actions [ticks of 10 ms], repeated in this order."""
     window_actions: PositiveInt = 6
-    """Number of actions in the window: a motion that repeats with it causes no ripple."""
+    """Number of actions in the window; a motion with the period of the window causes no ripple in
+    the mean."""
 
     @model_validator(mode="after")
     def _is_valid(self) -> "ActionClock":
@@ -50,11 +52,11 @@ class ActionClock(Configuration):
 
     @classmethod
     def at(cls, rate_hz: float | int, window_s: float | int = 2) -> "ActionClock":
-        """Build the clock with a rate [Hz], whose actions differ by at most one tick, and with the
-        window nearest to `window_s`.
+        """Build the clock with a rate [Hz] and the window nearest to `window_s`; the durations of
+        its actions differ by at most one tick.
 
         Raises:
-            ConfigurationError: the rate is not a ratio of small whole numbers, or above 100 Hz.
+            ConfigurationError: If the rate is not a ratio of small integers, or is above 100 Hz.
         """
         ticks_per_action = Fraction(RATE_HZ / rate_hz).limit_denominator(MAX_CYCLE_ACTIONS)
         count = ticks_per_action.denominator
@@ -83,7 +85,7 @@ class ActionClock(Configuration):
     @classmethod
     def parse(cls, text: str) -> "ActionClock":
         """Parse ``paper``, a rate [Hz], or a rate and a window [s] such as ``6,1``; raises
-        ConfigurationError."""
+        ConfigurationError if the text is invalid."""
         if text == "paper":
             return cls()
         try:
@@ -99,8 +101,8 @@ class ActionClock(Configuration):
 
     @property
     def max_ticks(self) -> int:
-        """Number of rows per action in a compiled program, where all actions have the same shape; a
-        shorter action ignores the last rows."""
+        """Number of rows per action in a compiled program, where all actions have the same shape;
+        shorter actions ignore the last rows."""
         return max(self.ticks)
 
     @property
@@ -125,7 +127,7 @@ class ActionClock(Configuration):
 
     def valid_rows(self, actions: int) -> list[int]:
         """Return the indices of the valid rows among the concatenated rows of the first actions,
-        `max_ticks` rows each."""
+        which have `max_ticks` rows each."""
         return [
             action * self.max_ticks + tick
             for action, ticks in enumerate(self.action_ticks(actions))

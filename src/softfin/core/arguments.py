@@ -12,8 +12,9 @@ from softfin.core.errors import ConfigurationError, SoftfinError
 
 
 def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a function so that it raises ConfigurationError for an argument that it does not
-    have, or for something else instead of a path. Other errors name parameters, not options."""
+    """Decorate a function so that it raises ConfigurationError if it has no such argument, or if a
+    path is expected and the value is not one. Its other error messages contain parameters, not
+    options."""
     signature = inspect.signature(function)
 
     def parameter(option: re.Match[str]) -> str:
@@ -46,7 +47,7 @@ def check_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*args, **options)
         except SoftfinError as error:
             text = str(error)
-            # A command to type keeps its options.
+            # Suggested commands keep their options.
             if "softfin " not in text:
                 error.args = (re.sub("--([a-z][a-z-]*)", parameter, text),)
             raise

@@ -10,7 +10,7 @@ TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
 ForceUnit: TypeAlias = Literal["N", "mN", "cN", "kN", "gf", "kgf", "lbf", "ozf"]
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
-"""One policy for all references, or one policy per cell of a grid."""
+"""Layout: one policy for all references, or one policy per grid cell."""
 ControllerKind: TypeAlias = Literal["gaits", "single", "grid"]
 """A table of gaits, or policies."""
 TrainingRangeName: TypeAlias = Literal["reach", "paper"]

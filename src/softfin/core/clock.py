@@ -12,14 +12,14 @@ from collections.abc import Callable
 
 PAIR_S = 0.005
 """Maximum time between two clock readings that are treated as simultaneous [s]: a tenth of the
-shortest time that is treated as a suspend."""
+shortest pause that is treated as a suspend."""
 
 
 class Clock:
     """The computer's own clock; waits using `threading`."""
 
     is_simulated = False
-    """Whether time is simulated: devices on the clock exist only in this process."""
+    """Whether time is simulated; devices on a simulated clock exist only in this process."""
 
     def __call__(self) -> float:
         """Return the monotonic time [s]."""
@@ -42,7 +42,7 @@ class Clock:
                 return boot - before
 
     def sleep(self, seconds: float) -> None:
-        """Wait for `seconds` [s]."""
+        """Wait for a time [s]."""
         time.sleep(seconds)
 
     def event(self) -> threading.Event:
@@ -50,7 +50,7 @@ class Clock:
         return threading.Event()
 
     def condition(self) -> threading.Condition:
-        """Create a condition with its own re-entrant lock; like `lock`, it may be held while its
+        """Create a condition with its own re-entrant lock; like `lock`, it may be held while the
         owner waits."""
         return threading.Condition()
 

@@ -28,7 +28,7 @@ OLDER_GENERATOR = (
 def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
     """Return a decorator that compiles with the given effort.
 
-    Compared with `equinox.filter_jit`, on two cores:
+    Compared with `equinox.filter_jit` on two cores:
     - low: half the compile time; the virtual tank and the training of force networks run at the
       same speed, but force networks without a gradient are up to 1.5 times slower.
     - none: a third of the compile time; everything runs three times slower. For programs that run
@@ -44,8 +44,8 @@ def jit(effort: Literal["low", "none"]) -> Callable[[Function], Function]:
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Return the result for each item, computed in one thread per core.
 
-    For functions that spend their time in compiled programs: these run without Python's lock.
-    Threads that call a new program at the same time wait for one compilation.
+    Use it for functions that spend their time in compiled programs, which run without Python's
+    lock. Threads that call a new program at the same time wait for one compilation.
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return list(threads.map(function, items))
@@ -56,12 +56,13 @@ def chain_in_threads(
 ) -> Iterator[list[State]]:
     """Yield the states of all chains after each item; `function` returns a chain's next state.
 
-    Chains run in one thread per core. A chain starts its next item while others are still at the
-    one before, so all cores are busy even if the number of chains is not a multiple of theirs.
+    Chains run in one thread per core. A chain starts its next item while others are still on the
+    previous one, so all cores are busy even if the number of chains is not a multiple of the number
+    of cores.
     """
 
     def step(before: Future[State], item: Item) -> State:
-        # Threads take steps in order, so the step before has started already.
+        # Threads take steps in order, so the previous step has already started.
         return function(before.result(), item)
 
     threads = ThreadPoolExecutor(os.cpu_count())

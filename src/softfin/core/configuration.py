@@ -17,17 +17,17 @@ from softfin.core.json_object import JsonObject
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
-    # pydantic has no public name for it.
+    # pydantic has no public name for this class.
     ModelMetaclass = type(pydantic.BaseModel)
 
-# Not typing.Self: the tests' run-time type check decorates functions individually and does not know
+# Not typing.Self: the run-time type check in the tests decorates functions individually, without
 # their class.
 Config = TypeVar("Config", bound="Configuration")
 
 
 class _OneLineErrors(ModelMetaclass):
-    """Class of the configuration classes: a call raises ConfigurationError, in one line. Validation
-    within pydantic does not pass through here."""
+    """Metaclass of the configuration classes: constructor calls raise ConfigurationError with a
+    one-line message. Validation within pydantic does not use it."""
 
     def __call__(cls, *args: object, **values: object) -> Any:
         try:
@@ -66,14 +66,14 @@ class Configuration(pydantic.BaseModel, metaclass=_OneLineErrors):
 
 
 class Changes(NamedTuple):
-    """Changes of a configuration that were typed: a file, then single fields, which win."""
+    """Changes that the user typed: a file, and single fields, which take precedence."""
 
     file: Path | None
     """YAML file."""
     fields: Mapping[str, str]
-    """Text of each field, by its option, such as ``--excitation.hold-min-s``; parsed as YAML."""
+    """Text of each field, keyed by option, such as ``--excitation.hold-min-s``; parsed as YAML."""
     options: Sequence[str] = ()
-    """Other options of the command, to suggest one of them for a misspelt name."""
+    """Other options of the command, suggested for misspelled names."""
 
     def apply(self, base: Config) -> Config:
         """Return `base` with the changes; raises ConfigurationError for an unknown field."""
@@ -107,13 +107,13 @@ def suggest_option(option: str, options: Sequence[str]) -> str:
 
 
 Settings: TypeAlias = Configuration | Changes | Mapping[str, Any] | Path | str | None
-"""Configuration that a stage accepts: a complete one, or changes of the default."""
+"""Configuration that a stage accepts: a complete one, or changes to the default."""
 
 
 def configure(base: Config, given: Settings, **options: object) -> Config:
-    """Return the configuration of a stage; options that are not None win over what was given.
+    """Return the configuration of a stage; options that are not None override `given`.
 
-    `given` is a configuration, which replaces `base`, or changes of `base`: a mapping, or a YAML
+    `given` is a configuration, which replaces `base`, or changes to `base`, as a mapping or a YAML
     file. Raises ConfigurationError if a value is invalid.
     """
     if isinstance(given, Configuration):
@@ -138,12 +138,12 @@ def configure(base: Config, given: Settings, **options: object) -> Config:
 
 
 def option_name(field: str) -> str:
-    """Return the option of a field, such as ``rate`` for ``rate_hz``: its unit is not typed."""
+    """Return the option of a field without the unit, such as ``rate`` for ``rate_hz``."""
     return re.sub("_(hz|rad_s|ms|s|)$", "", field).replace("_", "-")
 
 
 class Chosen:
-    """Validator, for pydantic's BeforeValidator, of a field whose class depends on its values."""
+    """Validator (for pydantic's BeforeValidator) of a field whose class depends on its values."""
 
     def __init__(self, choose: Callable[[Mapping[str, object]], type[Configuration]]) -> None:
         self.choose = choose
@@ -158,7 +158,7 @@ class Chosen:
 
 
 def read_yaml(path: Path) -> JsonObject:
-    """Read the mapping in a YAML file."""
+    """Read the mapping from a YAML file."""
     try:
         values = parse_yaml(path.read_text())
     except OSError as error:
@@ -210,11 +210,11 @@ def _explain(cls: Any, error: pydantic.ValidationError, values: Mapping[str, obj
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     if first["type"] == "missing":
-        # For this error, the input is the mapping that lacks the key.
+        # For this error, the input is the mapping without the key.
         return f"{name}: missing required key"
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
-        # This error is about an entire model: the validator's message describes the problem, and
-        # the input is the entire mapping, so it is not shown.
+        # This error concerns an entire model. The validator message describes the problem; the
+        # input is the entire mapping and is not shown.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     problem = first["msg"]
     if first["type"] == "tuple_type":

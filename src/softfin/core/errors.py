@@ -15,7 +15,7 @@ class InputError(SoftfinError):
 
 
 class ConfigurationError(InputError):
-    """An option or a YAML file that does not match the configuration."""
+    """An option or a YAML file that is invalid for the configuration."""
 
 
 class LogError(InputError):
@@ -23,7 +23,7 @@ class LogError(InputError):
 
 
 class NotALogError(LogError):
-    """A file does not contain a log."""
+    """A file that does not contain a log."""
 
 
 class ArtifactError(InputError):
@@ -31,7 +31,7 @@ class ArtifactError(InputError):
 
 
 class PlantError(InputError):
-    """Something that does not meet the Plant contract."""
+    """An object that does not implement the Plant interface."""
 
 
 class CommandError(InputError):
@@ -61,6 +61,6 @@ class SafetyStop(RunError):
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error's message in one line of at most 300 characters, or its type if it has no
-    message."""
+    """Return the message of an error as one line of at most 300 characters, or its type if it has
+    no message."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,5 +1,4 @@
-"""Advisory locks on files (flock). The kernel releases a lock when its process ends for any
-reason."""
+"""Advisory file locks (flock). The kernel releases a lock when its process ends for any reason."""
 
 import contextlib
 import os
@@ -12,11 +11,11 @@ _open_descriptors: set[int] = set()
 def lock_file(path: Path) -> int:
     """Create a file if it is missing, lock it, and write this process's ID to it.
 
-    Returns a descriptor for `unlock_file`. The holder of the lock may remove the file.
-    Raises BlockingIOError if the file is already locked, and a different OSError or an ImportError
-    if the system does not support locks.
+    Returns a descriptor for `unlock_file`. The holder of the lock may remove the file. Raises
+    BlockingIOError if the file is already locked, and another OSError or ImportError if the system
+    does not support locks.
     """
-    # Imported here because Windows does not have it.
+    # Imported here because Windows does not have this module.
     import fcntl
 
     descriptor = _open(path)
@@ -47,27 +46,27 @@ def unlock_file(descriptor: int) -> None:
 
 
 def _leave_to_parent() -> None:
-    """Close the descriptors in a forked child, which would otherwise hold the locks after the end
-    of its parent."""
+    """Close the descriptors in a forked child, which would otherwise hold the locks after its
+    parent has ended."""
     for descriptor in list(_open_descriptors):
         unlock_file(descriptor)
 
 
-# Windows does not have it.
+# Windows does not have this function.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 def find_holder(path: Path) -> int | None:
-    """Return the ID of the process that locked a file; None if it is unknown."""
+    """Return the ID of the process that locked a file; None if the ID is unknown."""
     with contextlib.suppress(OSError, ValueError):
         return int(path.read_text(errors="replace"))
     return None
 
 
 def describe_holder(path: Path) -> str:
-    """Return `` (process NUMBER)`` for the process that locked a file, or an empty string if it is
-    unknown."""
+    """Return `` (process NUMBER)`` for the process that locked a file, or an empty string if the ID
+    is unknown."""
     process = find_holder(path)
     return "" if process is None else f" (process {process})"
 

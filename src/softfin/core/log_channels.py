@@ -1,12 +1,12 @@
-"""Further channels that a log may contain besides command, angle, velocity and force (x, y).
+"""Additional channels that a log may contain besides command, angle, velocity and force (x, y).
 
-A channel's name is its column in log files and ends in its unit. The names below mean the same on
-the rig, in bags and on import; a log may also contain others. softfin does not learn from these
-channels.
+A channel's name is its column in log files and ends in its unit. The names below have the same
+meaning on the rig, in bags and on import; a log may also contain other channels. softfin does not
+learn from these channels.
 
-The z axis is x cross y, along the shaft. A positive velocity turns the fin against it, from +y to
-+x. The load of the fin on its mount opposes the drive, so torque about z times velocity is the
-power that the drive delivers to the fin.
+The z axis is x cross y, along the shaft. A positive velocity turns the fin about -z, from +y to +x.
+The load of the fin on its mount opposes the drive, so torque about z times velocity is the power
+that the drive delivers to the fin.
 """
 
 LOG_COLUMNS = (

@@ -1,8 +1,8 @@
 """Operations used in the controllers' formulas: the array API, and operations that differ between
 array libraries.
 
-Each formula exists only once: NumPy runs it on the robot, and JAX compiles it, and
-ndonnx traces it for ONNX.
+Each formula exists only once: NumPy runs it on the robot, JAX compiles it, and ndonnx traces it for
+ONNX.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Array: TypeAlias = Any
-"""Array of the library that runs the formula; float32, except for counts."""
+"""Array of the library that runs the formula; float32 except for counts."""
 
 Number: TypeAlias = Any
 """Python number, NumPy scalar or array without axes."""
@@ -31,8 +31,7 @@ class Operations:
     def choose(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Return one of two values, or tuples of values. The other one may or may not be
-        computed."""
+        """Return one of two values or tuples of values; the other may also be computed."""
         return then() if condition else otherwise()
 
     def dot(self, vector: Array, matrix: Array) -> Array:
@@ -44,7 +43,7 @@ class Operations:
         return int(number)
 
     def real(self, number: Number) -> Number:
-        """Convert to a float32, or to a Python number, which does not widen a float32."""
+        """Convert to float32, or to a Python number, which does not promote a float32 array."""
         return float(number)
 
     def clip(self, number: Number, low: Number, high: Number) -> Number:

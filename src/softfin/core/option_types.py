@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     PlantLike: TypeAlias = str | Path | Plant
 else:
-    # A plant needs JAX, which a command's help must not wait for; what is typed is text.
+    # Plants need JAX, whose import would delay help texts; on the command line, a plant is text.
     PlantLike = Any
     Settings = Any
 
@@ -55,7 +55,7 @@ def _parse_forces(hint: object, tokens: Sequence[Token]) -> Force | tuple[Force,
 
 
 FORCE = Parameter(metavar="X,Y", n_tokens=1, converter=_parse_forces)
-"""For forces, each as X,Y in one word."""
+"""For forces, each typed as X,Y in one word."""
 
 
 def _keep_text(_: object, tokens: Sequence[Token]) -> str:
@@ -69,14 +69,15 @@ NAMES = Parameter(metavar="NAME", n_tokens=1, converter=_keep_text)
 """For names whose class parses NAME,NAME."""
 
 RECORDINGS = Parameter(name="*", group="Recordings that softfin did not make")
-"""For import options, each an option."""
+"""For import options; each is an option of its own."""
 
 CONNECTION = Parameter(name="*", group="Connection to other ROS 2 nodes")
-"""For the fields of a connection, each an option."""
+"""For the fields of a connection; each is an option of its own."""
 
 HIDDEN = Parameter(parse=False)
 """For a parameter that cannot be typed, such as `progress`."""
 
 Config: TypeAlias = Annotated[Settings | None, FILE]
-"""Configuration of a stage: complete, or changes of the default. On the command line, a YAML file;
-each field is also an option, such as ``--excitation.hold-min-s 0.2``, and wins over the file."""
+"""Configuration of a stage: complete, or changes to the default. On the command line, it is a YAML
+file. Each field is also an option, such as ``--excitation.hold-min-s 0.2``, which overrides the
+file."""

@@ -1,8 +1,8 @@
-"""The Plant contract: anything that moves on command. The virtual tank, every surrogate and your
-own simulator are Plants.
+"""The Plant interface, for anything that moves on command. The virtual tank, every surrogate and
+your own simulator are plants.
 
-A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it. It does not
-change after it was made; `softfin.core.plant_identity` compares plants.
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it. Plants are
+immutable; `softfin.core.plant_identity` compares them.
 """
 
 import reprlib
@@ -19,8 +19,8 @@ from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CommandError, PlantError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
-# A clock may be part of a pytree, in which it has no leaves. It is registered here, because modules
-# for the robot must not import JAX.
+# A clock may be part of a pytree and has no leaves. It is registered here because modules for the
+# robot must not import JAX.
 jax.tree_util.register_static(ActionClock)
 
 State: TypeAlias = PyTree
@@ -32,12 +32,12 @@ Ticks: TypeAlias = int | Int[Array, ""]
 
 @runtime_checkable
 class Plant(Protocol):
-    """A fin that is realistic enough for training. It is a single fin, without batch axes
-    (`jax.vmap` adds them).
+    """A fin that is realistic enough for training. A plant is a single fin without batch axes;
+    `jax.vmap` adds them.
 
-    Compiled programs hold an action by calling `advance` one tick at a time in a scan. A plant that
-    computes many ticks at once more quickly may have a method `hold_action(state, command, ticks,
-    rows)`, which must do the same as the function `hold_action`.
+    Compiled programs hold an action by calling `advance` one tick at a time in a scan. If a plant
+    can compute many ticks at once more quickly, it may have a method `hold_action(state, command,
+    ticks, rows)` that is equivalent to the function `hold_action`.
     """
 
     @property
@@ -45,13 +45,13 @@ class Plant(Protocol):
         """Limits of the accepted commands [rad, rad/s]; outside them, readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """Return the state of a fin at rest at `limits.rest_angle`, time 0. The key determines
-        everything random (sensor noise, conditions)."""
+        """Return the state at time 0 of a fin at rest at `limits.rest_angle`. The key determines
+        all randomness (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after
         each sample; fields have the shape ``(ticks,)``. To compile it, call it within a function
-        and pass that to `jax.jit`."""
+        and pass this function to `jax.jit`."""
 
 
 @runtime_checkable
@@ -66,7 +66,7 @@ class TrueForcePlant(Plant, Protocol):
 
 @runtime_checkable
 class NoisyPlant(Plant, Protocol):
-    """A plant for which the noise of the force measurements is known."""
+    """A plant with known noise in the force measurements."""
 
     @property
     def mean_force_noise_n(self) -> float:
@@ -81,16 +81,16 @@ class ForceInterval(Protocol):
     """Prediction interval for an ensemble's mean force over one window."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """Return half of the interval's width [N], from the mean force of each member [N]."""
+        """Return the half-width of the interval [N] for the mean force of each member [N]."""
 
     def caveat(self) -> str | None:
-        """Return the reason not to rely on the interval, as one sentence, or None."""
+        """Return the reason not to rely on the interval as one sentence, or None."""
 
 
 @runtime_checkable
 class EnsemblePlant(Plant, Protocol):
-    """A plant with several members that estimates its own error; `advance` returns the mean over
-    the members."""
+    """A plant with several members, whose disagreement estimates its error; `advance` returns their
+    mean."""
 
     @property
     def size(self) -> int:
@@ -109,14 +109,14 @@ class EnsemblePlant(Plant, Protocol):
 
 
 def check_key(key: PRNGKeyArray) -> None:
-    """Raise PlantError for a key that is not a JAX key, such as a number."""
+    """Raise PlantError if the key is not a JAX key but a number, for example."""
     if not isinstance(key, jax.Array):
         raise PlantError(f"key = {reprlib.repr(key)}: must be a JAX key; use jax.random.key(0)")
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
-    """Raise CommandError for commands outside the limits. Traced values are not checked, because
-    they are unknown; in a compiled program, a plant follows any command."""
+    """Raise CommandError if a command is outside the limits. Traced values are unknown and not
+    checked: in a compiled program, a plant follows any command."""
     if not isinstance(commands, Command):
         raise CommandError(
             f"command = {reprlib.repr(commands)}: must be softfin.Command(angle, velocity)"
@@ -141,8 +141,8 @@ def check_commands(limits: Limits, commands: Command) -> None:
 
 
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
-    """Issue one command per tick, ``(ticks,)``, and read after each tick; raises CommandError for
-    commands outside the plant's limits."""
+    """Issue one command per tick, ``(ticks,)``, and read after each tick; raises CommandError if a
+    command is outside the plant's limits."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
@@ -160,7 +160,8 @@ def rest_command(limits: Limits) -> Command:
 def hold_action(
     plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
 ) -> tuple[State, Reading]:
-    """Hold a command for one action; fields ``(rows,)``, of which the first `ticks` are valid.
+    """Hold a command for one action; fields have the shape ``(rows,)``, and the first `ticks` rows
+    are valid.
 
     All actions have the same shape, so a compiled program contains the plant only once.
     """
@@ -190,8 +191,8 @@ def hold_action_with_true_force(
 def repeat(
     tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks, rows: int
 ) -> tuple[State, Output]:
-    """Repeat `tick` for `ticks` ticks; its results are stacked as ``(rows, ...)``, of which the
-    first `ticks` are valid."""
+    """Repeat `tick` for `ticks` ticks and stack its results as ``(rows, ...)``; the first `ticks`
+    rows are valid."""
     # For gradients, recomputing a tick is faster than storing its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
@@ -212,7 +213,7 @@ def masked_mean(rows: Array, ticks: Ticks) -> Array:
 def hold(
     plant: Plant, state: State, actions: Command, clock: ActionClock = PAPER_CLOCK
 ) -> tuple[State, Reading]:
-    """Hold each of the ``(actions,)`` commands for the duration of an action of the clock; fields
+    """Hold each of the ``(actions,)`` commands for one action of the clock; fields have the shape
     ``(ticks,)``."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
@@ -224,6 +225,6 @@ def hold(
 
 
 def drop_padding(rows: Array, actions: int, clock: ActionClock) -> Array:
-    """Join the valid rows of consecutive actions, ``(actions, rows, ...)`` from the start of the
-    clock, into ``(ticks, ...)``."""
+    """Concatenate the valid rows of consecutive actions, ``(actions, rows, ...)``, into ``(ticks,
+    ...)``; the first action is the first of the clock."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(clock.valid_rows(actions))]

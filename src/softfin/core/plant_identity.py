@@ -1,9 +1,9 @@
-"""Identity of a plant: its type and a hash of its fields, by which files and resumed runs tell
-plants apart.
+"""Identity of a plant: its type and a hash of its fields, which distinguish plants in files and
+resumed runs.
 
 A plant must be a pytree, such as an `equinox.Module`. Compiled programs then take its arrays as
-arguments and are compiled again if anything else in it changes. A simulator that is not a pytree,
-or that depends on more than its fields, states its identity as an attribute.
+arguments and are recompiled if any other field changes. A simulator that is not a pytree, or that
+depends on more than its fields, has an attribute `identity`.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
 
 PLAIN = (bool, int, float, complex, str, bytes, type(None))
-"""Types of values that their text describes completely."""
+"""Types whose values are completely described by their text."""
 
 STATE_IDENTITY = "add an attribute `identity`, a string that contains all parameters"
 
@@ -30,14 +30,14 @@ def identity(plant: Plant) -> str:
     """Return the type of a plant and a hash of its limits and fields: equal for equal plants in
     every process.
 
-    Not included are the fields in the class attribute `computed`, which XLA computed from the
-    others: their last bits depend on the processor. Raises PlantError for a plant that is not a
+    The hash excludes the fields in the class attribute `computed`: XLA computed them from other
+    fields, and their last bits depend on the processor. Raises PlantError if the plant is not a
     pytree and has no attribute `identity`.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
     is_pytree = not jax.tree_util.all_leaves([plant])
-    # Compiled programs find a plant that is not a pytree by its hash.
+    # Compiled programs look up a plant that is not a pytree by its hash.
     if not is_pytree and (stated is None or type(plant).__hash__ is None):
         raise PlantError(
             f"plant {name}: not a pytree; make it an equinox.Module, or make it hashable and "
@@ -54,12 +54,12 @@ def identity(plant: Plant) -> str:
 
 
 def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
-    """Yield the place, the type and the content of a value, or those of its members."""
+    """Yield the place, type and content of a value or of each of its members."""
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
             value = jax.random.key_data(value)
         array = np.asarray(value)
-        # Not the type: JAX and NumPy arrays with the same values are the same parameter.
+        # The type is left out: JAX and NumPy arrays with the same values are the same parameter.
         yield f"{place}: {array.dtype} {array.shape} ".encode()
         yield array.tobytes()
         return
@@ -75,8 +75,8 @@ def _parts(value: object, place: str, plant: str) -> Iterator[bytes]:
 
 
 def _find_name(value: object) -> str | None:
-    """Return the name under which its module contains a function or a class; None for anything
-    else. A closure, a bound method and a partial function depend on more than their names."""
+    """Return the name of a function or class in its module; None for anything else. A closure, a
+    bound method and a partial function depend on more than their names."""
     found: object = sys.modules.get(getattr(value, "__module__", None) or "")
     name: str = getattr(value, "__qualname__", "")
     for part in name.split("."):

@@ -1,10 +1,10 @@
-"""Makes text from files and devices safe to display: a fin's name may contain terminal control
-sequences."""
+"""Makes text from files and devices safe to display; the name of a fin, for example, may contain
+terminal control sequences."""
 
 
 def printable(text: str, keep: str = "", most: int | None = None) -> str:
-    r"""Return `text` with unprintable characters escaped, such as ``\x1b``, cut to `most`
-    characters.
+    r"""Return `text` with unprintable characters escaped, for example as ``\x1b``, and cut to
+    `most` characters.
 
     Control characters, direction marks, lone surrogates and line ends are escaped, unless `keep`
     contains them.

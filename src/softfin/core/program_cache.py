@@ -13,8 +13,8 @@ OFF = "off"
 JAX_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 
 JAX_SETTINGS = {
-    # Store small programs as well: an evaluation in the tank uses 45 of them, each of which takes
-    # 30 ms to compile.
+    # Also store small programs: an evaluation in the tank uses 45 of them, and each takes 30 ms to
+    # compile.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     # On a GPU, XLA would write additional files, which JAX would not count or delete.
     "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES": "none",
@@ -50,14 +50,14 @@ def describe_cache() -> str:
 
 
 def use_program_cache() -> None:
-    """Let JAX cache compiled programs; call before this process imports JAX."""
+    """Make JAX cache compiled programs; must be called before this process imports JAX."""
     folder = cache_folder()
     if folder is None:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
-        # JAX would warn about every program.
+        # Otherwise, JAX would warn about every program.
         return
     os.environ[JAX_VARIABLE] = str(folder)
     for name, value in JAX_SETTINGS.items():

@@ -18,11 +18,12 @@ TICK_S = 1 / RATE_HZ
 
 DAY = 24 * 3600 * RATE_HZ
 """Period of the day counter [ticks]. A plant counts ticks in 32 bits and reports time in single
-precision, and neither can represent Unix time."""
+precision; neither can represent Unix time."""
 
 
 def tick_at(time_s: float) -> int:
-    """Return the tick within the day for a time on any clock, such as a log's or a computer's."""
+    """Return the tick within the day for a time on any clock, such as the clock of a log or a
+    computer."""
     return round(time_s * RATE_HZ) % DAY
 
 
@@ -36,8 +37,8 @@ else:
     class AnyArray(Protocol):
         """Array of float32: a JAX array in a compiled program, a NumPy array in files and figures.
 
-        Recognised by its attributes, because code on a robot must not need JAX or wait a second for
-        its import.
+        It is recognised by its attributes because code on a robot must not depend on JAX, whose
+        import takes a second.
         """
 
         @property
@@ -50,7 +51,7 @@ else:
 
 
 class Command(NamedTuple):
-    """Target of the drive, held until the next command."""
+    """Target for the drive, held until the next command."""
 
     angle: Float[AnyArray, "*shape"]
     """Target angle [rad]."""
@@ -62,7 +63,7 @@ class Reading(NamedTuple):
     """One sample, or a series of samples at 100 Hz."""
 
     time: Float[AnyArray, "*shape"]
-    """Time since the plant was initialised [s]."""
+    """Time since initialisation of the plant [s]."""
     angle: Float[AnyArray, "*shape"]
     """Angle of the shaft [rad]."""
     velocity: Float[AnyArray, "*shape"]
@@ -81,7 +82,7 @@ class Log(NamedTuple):
     command: Command
     reading: Reading
     channels: Mapping[str, Float[AnyArray, "rows"]] = {}
-    """Further measured channels, by column of a log file (`softfin.core.log_channels`)."""
+    """Additional measured channels, keyed by log file column (`softfin.core.log_channels`)."""
 
     @property
     def rows(self) -> int:
@@ -90,8 +91,8 @@ class Log(NamedTuple):
 
     @property
     def columns(self) -> tuple[AnyArray, ...]:
-        """Command angle and velocity, angle, velocity, force x and y, ``(rows,)`` each: the columns
-        that every log file has after the time."""
+        """Columns that every log file has after the time, ``(rows,)`` each: command angle, command
+        velocity, angle, velocity, force x and force y."""
         _, angle, velocity, force = self.reading
         return (*self.command, angle, velocity, *np.moveaxis(np.asarray(force), -1, 0))
 
@@ -119,7 +120,8 @@ LIMIT_KEYS = ("angle_min_rad", "angle_max_rad", "velocity_min_rad_s", "velocity_
 
 
 class Limits(NamedTuple):
-    """Range of the commands that a plant accepts; `problem` checks whether a fin can have it."""
+    """Range of the commands that a plant accepts; `problem` checks whether the range is plausible
+    for a fin."""
 
     angle_min: float
     angle_max: float
@@ -132,7 +134,8 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, description: object) -> "Limits":
-        """Build from the result of `to_dict`; raises ValueError with the allowed values."""
+        """Build from the result of `to_dict`; raises ValueError with the allowed values if it is
+        invalid."""
         values = []
         for name in LIMIT_KEYS:
             value = description.get(name) if isinstance(description, dict) else None
@@ -153,8 +156,8 @@ class Limits(NamedTuple):
         return min(max(0.0, self.angle_min), self.angle_max)
 
     def problem(self) -> str | None:
-        """Describe the problem with these limits and the allowed values; None if a fin can have
-        them. Both velocities are equal for a drive without a velocity command."""
+        """Describe the problem with these limits and the allowed values; None if they are plausible
+        for a fin. Both velocities are equal for a drive without a velocity command."""
         named = self.to_dict()
         for name, value in named.items():
             low, high = (
@@ -173,7 +176,7 @@ class Limits(NamedTuple):
 
 
 def action_to_command(limits: Limits, action: Any) -> Command:
-    """Map an action in [-1, 1]^2, as two numbers or an array of any library, to the limits."""
+    """Map an action in [-1, 1]^2 (two numbers or an array of any library) to the limits."""
     # [-1, 1] -> [0, 1] -> [min, max]
     angle = (action[0] + 1) / 2
     velocity = (action[1] + 1) / 2
@@ -184,7 +187,8 @@ def action_to_command(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the command range in logs, which sets the limits of a surrogate fitted to them.
+    """Return the range of the commands in logs; it sets the limits of a surrogate fitted to these
+    logs.
 
     A range that ends close to angle 0 is extended to it: random commands never quite reach the end
     of a range, but the fin rests there.

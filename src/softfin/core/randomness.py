@@ -1,8 +1,8 @@
-"""One seed per run, split by name: the same seed and name produce the same numbers, no matter what
-else the run draws.
+"""One seed per run, split by name: the same seed and name produce the same numbers, whatever other
+numbers the run draws.
 
-By default, the CMA-ES library seeds NumPy's global generator, draws from it, and obeys a file
-``cma_signals.in`` in the working directory; `cma_es` prevents all of this.
+By default, the CMA-ES library seeds NumPy's global generator, draws from it, and reads a file
+``cma_signals.in`` in the working directory; `cma_es` prevents this.
 """
 
 import zlib
@@ -20,7 +20,7 @@ def named_key(seed: int, name: str) -> PRNGKeyArray:
 
 
 def named_generator(seed: int, name: str) -> np.random.Generator:
-    """Return the NumPy generator for a purpose; as in JAX, only the last 32 bits of the seed are
+    """Return the NumPy generator for a purpose; as in JAX, only the lowest 32 bits of the seed are
     used."""
     return np.random.default_rng([seed % 2**32, zlib.crc32(name.encode())])
 
@@ -36,6 +36,7 @@ def cma_es(
     # Imported here because it is slow and rarely needed.
     import cma
 
-    # A NaN seed leaves NumPy's global generator alone; verbosity below -9 skips the signals file.
+    # With a NaN seed, the library does not touch NumPy's global generator; with a verbosity below
+    # -9, it skips the signals file.
     own = {"randn": lambda *shape: random.standard_normal(shape), "seed": np.nan, "verbose": -10}
     return cma.CMAEvolutionStrategy(start, step, options | own)

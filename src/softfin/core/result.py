@@ -1,11 +1,11 @@
-"""Results of stages: a mapping for programs, and a text for people."""
+"""Results of stages: a mapping for programs and a text for people."""
 
 from collections.abc import Mapping
 from typing import Any
 
 
 class Result(dict[str, Any]):
-    """The contents of a stage's JSON. Printed, it is the text that the command shows."""
+    """Contents of the JSON file of a stage; printing it shows the text of the command."""
 
     def __init__(self, values: Mapping[str, Any], text: str) -> None:
         super().__init__(values)

@@ -1,10 +1,10 @@
-"""The seeds that every random number generator accepts."""
+"""Seeds that every random number generator accepts."""
 
 from softfin.core.choices import SEEDS
 from softfin.core.errors import ConfigurationError
 
 
 def check_seed(seed: int | None) -> None:
-    """Raise ConfigurationError for a seed that a random number generator would not accept."""
+    """Raise ConfigurationError if a random number generator would not accept the seed."""
     if seed is not None and not 0 <= seed < SEEDS:
         raise ConfigurationError(f"--seed {seed}: must be a whole number from 0 to {SEEDS - 1}")

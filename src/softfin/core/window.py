@@ -3,8 +3,8 @@ samples (paper, Sec. IV-B).
 
     mean = sum(f) / 200        error = mean - reference
 
-All such means, their errors and their confidence intervals are computed here. Functions of forces
-accept NumPy and JAX arrays.
+This module computes all such means, their errors and their confidence intervals. Functions of
+forces accept NumPy and JAX arrays.
 """
 
 import math
@@ -23,13 +23,13 @@ PAPER_WINDOW = PAPER_CLOCK.window_ticks
 CONFIDENCE = 0.95
 
 FEWEST = 3
-"""Minimum number of samples for an interval of the mean: with two samples, the interval is 12.7
-times as wide as the distance between them."""
+"""Minimum number of samples for an interval of the mean; with two samples, the interval is 12.7
+times as wide as their difference."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
     """Return the mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
-    # A mask instead of a slice, because `count` may be traced.
+    # A mask instead of a slice because `count` may be traced.
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces)) >= len(forces) - count
     return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
@@ -41,16 +41,16 @@ def sobolev(
     """Return the Sobolev term over the last `count` of `n` samples (paper Sec. III-C2) [N]: the
     change between consecutive forces.
 
-    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the square root of the
-    window's length; the published code's form `mean` is the root mean square.
+    The form `sum` from the paper, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the square root of the
+    window length; the form `mean` from the published code is the root mean square.
     """
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces) - 1) >= len(forces) - count
     square = xp.where(counts[:, None], xp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
     if form == "mean":
         square = square / xp.maximum(count - 1, 1)
-    # The square root with slope 0 at 0: a fin at rest produces no force, and the derivative of the
-    # square root is infinite there. The inner `where` keeps it out of the gradient.
+    # The square root, but with slope 0 at 0: a fin at rest produces no force, and the derivative of
+    # the square root is infinite there. The inner `where` keeps the infinity out of the gradient.
     moves = square > 0
     return xp.where(moves, xp.sqrt(xp.where(moves, square, 1)), 0)
 
@@ -61,8 +61,8 @@ def moving_average(
     """Return the mean over each complete window, ``(*batch, windows, channels)``; the first covers
     the first `window` samples."""
     xp: Any = series.__array_namespace__()
-    # In float64 if available: the difference between two long cumulative sums loses digits in
-    # float32.
+    # In float64 if available, because the difference between two long cumulative sums loses digits
+    # in float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
     # sum over window i = total[i + window] - total[i]
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
@@ -93,8 +93,8 @@ def window_means(
 def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
     """Return the interval [low, high] of the mean of independent samples, by Student's t.
 
-    Returns None for fewer than `FEWEST` samples, or if all samples are equal, because they are then
-    not independent.
+    Returns None for fewer than `FEWEST` samples, or if all samples are equal and therefore not
+    independent.
     """
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:

@@ -1,1 +1,1 @@
-"""Log data: excitation, collection, import of recordings, and checks."""
+"""Log data: excitation, collection, import and checks."""

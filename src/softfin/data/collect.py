@@ -1,8 +1,8 @@
-"""Collect a dataset from a plant under random commands (paper Sec. III-A).
+"""Collects a dataset from a plant under random commands (paper Sec. III-A).
 
-Many logs run in one program. The dataset folder is written completely or not at all. Log i of a
-part draws all its random numbers from the key ``collect/PART/i``, so it does not depend on the logs
-that are simulated together with it.
+One program simulates many logs. The dataset folder is written completely or not at all. Log i of a
+part (train or test) draws all random numbers from the key ``collect/PART/i``, so it does not depend
+on logs that are simulated in parallel.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,24 +27,24 @@ from softfin.storage.paths import DATASET_PARTS
 
 
 class CollectConfig(Configuration):
-    """Configuration of a data collection: number and length of logs, and their commands."""
+    """Configuration of a data collection: number, length and commands of the logs."""
 
     logs: int = pydantic.Field(default=100, ge=1)
-    """Number of training logs; the paper has 100."""
+    """Number of training logs; the paper uses 100."""
     test_logs: int = pydantic.Field(default=3, ge=0)
-    """Number of test logs; the paper has 3, in perturbed tanks."""
+    """Number of test logs; the paper uses 3, from perturbed tanks."""
     rows: int = pydantic.Field(default=20_000, ge=2)
-    """Number of readings per log at 100 Hz; the paper has 20,000, i.e. 200 s."""
+    """Number of readings per log at 100 Hz; the paper uses 20,000, i.e. 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the commands and of all randomness in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
-    """Maximum number of logs simulated in parallel; more are faster, but each needs about 30 bytes
-    of memory per row."""
+    """Maximum number of logs simulated in parallel. A larger number is faster, but each log needs
+    about 30 bytes of memory per row."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Random commands."""
     channels: bool = False
-    """Whether the logs of a simulated plant also contain its channels, such as torque and current
-    of the virtual tank. A real fin's logs always contain those that are measured."""
+    """Whether the logs of a simulated plant also contain its additional channels, such as torque
+    and current in the virtual tank. Logs of a real fin always contain all measured channels."""
 
 
 def collect_logs(
@@ -96,8 +96,8 @@ def collect_logs(
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
-    """Replace the time with exact multiples of 10 ms in float64; raises PlantError if the plant's
-    time or readings are invalid."""
+    """Replace the time with exact multiples of 10 ms in float64; raises PlantError if the plant
+    returns invalid times or readings."""
     for index, log in enumerate(logs):
         name = f"{part}/{index:0{DATASET_PARTS[part]}d}"
         for field, values in zip(log.reading._fields, log.reading, strict=True):

@@ -1,7 +1,7 @@
-"""Random commands that excite a fin's full dynamics: a target angle and velocity, held for a random
-time (paper Sec. III-A).
+"""Random commands that excite the full dynamics of a fin: a target angle and velocity, held for a
+random time (paper Sec. III-A).
 
-`collect` issues them to a plant, one command per tick.
+`collect` issues one of these commands per tick to a plant.
 """
 
 from collections.abc import Callable
@@ -20,14 +20,14 @@ the limits; it must be traceable by JAX."""
 
 
 class ExcitationConfig(Configuration):
-    """Range of the time for which each random command is held."""
+    """Range of the hold times of random commands."""
 
     hold_min_s: float = pydantic.Field(default=0.2, gt=0, multiple_of=TICK_S)
-    """Shortest hold [s], a multiple of 10 ms; below the 0.33 s of a 3 Hz controller, so that the
-    data contain strokes that are cut as short."""
+    """Minimum hold time [s], a multiple of 10 ms. The default is below the 0.33 s of a 3 Hz
+    controller, so that the data contain strokes that are cut short."""
     hold_max_s: float = pydantic.Field(default=1.5, gt=0, multiple_of=TICK_S)
-    """Longest hold [s], a multiple of 10 ms; most strokes end earlier, so the data also contain the
-    fin at rest."""
+    """Maximum hold time [s], a multiple of 10 ms. Most strokes end earlier, so the data also
+    contain the fin at rest."""
 
     @pydantic.model_validator(mode="after")
     def _in_order(self) -> "ExcitationConfig":
@@ -38,10 +38,11 @@ class ExcitationConfig(Configuration):
         return self
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
-        """Draw one command per tick, fields ``(rows,)``; angle, velocity and hold are uniform."""
+        """Draw one command per tick, fields ``(rows,)``; angle, velocity and hold time are
+        uniformly distributed."""
         shortest = round(self.hold_min_s * RATE_HZ)
         longest = round(self.hold_max_s * RATE_HZ)
-        # Enough commands even if every hold is the shortest; the number must be static for JAX.
+        # Enough commands even if all hold times are the minimum; the number must be static for JAX.
         holds = -(-rows // shortest)
         angle_key, velocity_key, hold_key = jax.random.split(key, 3)
         angle = jax.random.uniform(

@@ -13,13 +13,13 @@ documents what was done."""
 
 @dataclasses.dataclass(frozen=True)
 class Issue:
-    """A problem with a log, or a note on a change to it."""
+    """A problem with a log, or a note on a change to the log."""
 
     severity: Severity
     name: str
     """Kind of issue, such as ``gap``; docs/reference/log-checks.md lists them."""
     log: str
-    """Name of the log: its file, and its rows if the file contains several logs."""
+    """Name of the log: the file, and the rows if the file contains several logs."""
     message: str
     fix: str = ""
     """Suggested fix, usually an option."""
@@ -41,11 +41,11 @@ class Issue:
 
 
 MAX_ODD_SHARE = 0.05
-"""Largest share of rows that may be dropped without an error."""
+"""Maximum share of rows that may be dropped without an error."""
 
 
 def row_severity(num_odd: int, num_rows: int) -> Severity:
-    """Return the severity of rows that are dropped: a few in a recording are usual."""
+    """Return the severity of dropped rows; a few dropped rows per recording are normal."""
     return "error" if num_odd > MAX_ODD_SHARE * num_rows else "warning"
 
 
@@ -57,8 +57,8 @@ def counted(number: int, noun: str) -> str:
 def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
     """Merge issues of the same kind and column across logs, most severe first.
 
-    The first message is kept. Notes are merged only if their messages are equal, because what was
-    done to one log may not apply to another.
+    The first message is kept. Notes are merged only if their messages are equal, because logs may
+    have been changed differently.
     """
     kinds: dict[tuple[Severity, str, str | None, str], list[Issue]] = {}
     for issue in issues:

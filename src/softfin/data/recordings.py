@@ -1,6 +1,6 @@
-"""Open a recording of any kind, or a folder of recordings, as inspected logs at 100 Hz.
+"""Opens a recording of any kind, or a folder of recordings, as inspected logs at 100 Hz.
 
-Shared by `softfin inspect`, `softfin import-logs` and `softfin fit`.
+`softfin inspect`, `softfin import-logs` and `softfin fit` share this module.
 """
 
 import dataclasses
@@ -32,11 +32,11 @@ class OpenedLogs:
     logs: tuple[NamedLog, ...]
     inspection: Inspection
     data_hash: str
-    """Hash of the dataset; for other recordings, SHA-256 of the files and the import options."""
+    """Hash of the dataset, or SHA-256 of the files and import options of other recordings."""
     metadata: JsonObject
     """Files, options and issues, to be written to ``dataset.json``."""
     config: ImportConfig = dataclasses.field(default_factory=ImportConfig)
-    """Options with which the logs were read: those given, and those saved beside the logs."""
+    """Options with which the logs were read: given options, and options saved next to the logs."""
 
     @property
     def train(self) -> list[Log]:
@@ -57,8 +57,8 @@ class OpenedLogs:
             )
 
     def check_issues(self, source: str) -> None:
-        """Raise LogError with the first error and the number of others, except for those that are
-        ignored by name."""
+        """Raise LogError with the first error that is not ignored by name, and the number of
+        further errors."""
         errors = self.remaining_errors()
         if not errors:
             return
@@ -77,7 +77,7 @@ class OpenedLogs:
 
 
 def ignoring(errors: Iterable[Issue]) -> str:
-    """Return the option that ignores these errors."""
+    """Return the command-line option that ignores these errors."""
     names = dict.fromkeys(issue.name.replace(" ", "-") for issue in errors)
     return f"--ignore-errors {','.join(names)}"
 
@@ -89,8 +89,8 @@ def options_file(path: Path) -> Path:
 
 
 def _saved_options(path: Path, given: ImportConfig | None, dataset: Dataset | None) -> ImportConfig:
-    """Return the options saved beside the recordings, with those given, which win. Errors that were
-    ignored when a dataset was imported still are."""
+    """Return the options saved next to the recordings, overridden by the given options. Errors that
+    were ignored when a dataset was imported remain ignored."""
     saved = ImportConfig()
     file = options_file(path)
     if dataset is not None:
@@ -106,7 +106,7 @@ def open_logs(
 ) -> OpenedLogs:
     """Read and inspect all recordings at `path`; raises LogError or ArtifactError if they cannot be
     read."""
-    # Reject a dataset that was changed after it was written before reading anything.
+    # Before reading, reject a dataset that was modified after it was written.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
     config = _saved_options(path, config, dataset)
     files = {file: _name(file, path) for file in find_recordings(path)}
@@ -118,7 +118,7 @@ def open_logs(
         try:
             some, found = _read(file, name, parts[name], config)
         except LogError as error:
-            # One file that is no log does not make the others useless.
+            # One file that is not a log does not make the other files unusable.
             refusals.append(error)
             found = [_refusal(error, name)]
         else:
@@ -152,7 +152,7 @@ def open_logs(
 def _read(
     file: Path, name: str, part: Part, config: ImportConfig
 ) -> tuple[list[NamedLog], list[Issue]]:
-    """Read the logs in a file, and the issues found on the way."""
+    """Read the logs in a file; also return the issues found while reading."""
     if is_bag(file):
         # Imported late: the bag reader is only loaded if there are bags.
         from softfin.data.importing.rosbag import read_bag
@@ -170,14 +170,15 @@ def _read(
 
 
 def _refusal(error: LogError, name: str) -> Issue:
-    """Return the issue of a file that cannot be read: an error, unless the file is not a log."""
+    """Return the issue for an unreadable file: an error, or a warning if the file is not a log."""
     if isinstance(error, NotALogError):
         return Issue("warning", "not a log", name, f"ignored ({error})")
     return Issue("error", "unreadable", name, str(error))
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
-    """Assign each file to training or test, by the pattern or by names that start with test."""
+    """Assign each file to training or test, by the pattern or by whether its name starts with
+    test."""
     parts: dict[str, Part] = {}
     for name in names:
         *folders, last = name.split("/")

@@ -1,4 +1,4 @@
-"""Simulate many plants, each under its own commands.
+"""Simulates many plants, each with its own commands.
 
 One compiled program advances all plants by a chunk of rows at a time.
 """
@@ -19,8 +19,8 @@ from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
 
 CHUNK_ROWS = 1000
-"""Approximate number of rows per call of the compiled program, after which progress is reported; at
-10 s of plant time, the overhead of a call is negligible."""
+"""Approximate number of rows per call of the compiled program; progress is reported after each
+call. The overhead of a call is negligible for 10 s of plant time."""
 
 ReportRows = Callable[[int], None]
 """Function that is called with the number of rows finished since the last call."""
@@ -28,7 +28,7 @@ ReportRows = Callable[[int], None]
 
 @runtime_checkable
 class MeasuringPlant(Plant, Protocol):
-    """A plant that also simulates channels of a log (`softfin.core.log_channels`)."""
+    """A plant that also simulates additional channels of a log (`softfin.core.log_channels`)."""
 
     def measure(
         self, state: State, command: Command
@@ -48,7 +48,8 @@ def simulate(
     """Yield one log of `rows` rows per plant and key, as NumPy arrays; at most `batch` run at once.
     With `channels`, the plants must be `MeasuringPlant`s.
 
-    Plants whose pytrees differ only in array values run together, others one after another.
+    Plants whose pytrees differ only in array values run together; other plants run one after
+    another.
     """
     same = all(plant is plants[0] for plant in plants)
     parts = []
@@ -56,7 +57,7 @@ def simulate(
     for plant in plants[:1] if same else plants:
         arrays, static = eqx.partition(plant, eqx.is_array)
         parts.append((arrays, static))
-        # Plants can share a program if all but the values of their arrays agree.
+        # Plants can share a program if they differ only in the values of their arrays.
         shapes = jax.tree.map(lambda x: (x.shape, x.dtype), arrays)
         kinds.append(jax.tree.flatten((static, shapes)))
     if any(kind != kinds[0] for kind in kinds):
@@ -64,11 +65,11 @@ def simulate(
             yield from simulate([plant], [key], rows, commands, 1, report, channels)
         return
     count = len(plants)
-    # Equal batches, so that as few logs as possible are padding.
+    # Equal batch sizes, to minimize padding.
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
-        # The last batch is padded with logs that are discarded, so that all batches have the same
-        # shape and share one compiled program.
+        # The last batch is padded with logs that are later discarded, so that all batches have the
+        # same shape and share one compiled program.
         index = [i % count for i in range(start, start + batch)]
         (arrays, static) = parts[0]
         axis = None

@@ -1,5 +1,5 @@
-"""A fin's stroke time: how long its shaft takes to reach a new commanded angle, as far as the logs
-show."""
+"""Stroke time of a fin: the time that its shaft takes to reach a new commanded angle, estimated
+from logs."""
 
 from collections.abc import Sequence
 
@@ -8,24 +8,24 @@ import numpy as np
 from softfin.core.quantities import TICK_S, Log
 
 ARRIVED = 0.9
-"""Fraction of the way to a commanded angle at which a stroke counts as finished."""
+"""Fraction of the way to a commanded angle at which a stroke is treated as finished."""
 MIN_STROKE_RAD = 0.3
-"""Minimum change of angle that counts as a stroke [rad]; smaller ones end before the drive has
+"""Minimum change of angle that is treated as a stroke [rad]; smaller moves end before the drive has
 accelerated."""
 MIN_STROKES = 10
 """Minimum number of strokes for a median."""
 SHORTEST_PERCENT = 1
-"""Percentile of the time between two commands that counts as the shortest: a few commands may
-follow each other by accident."""
+"""Percentile of the time between two commands that is used as the minimum, because a few commands
+may follow each other by accident."""
 
 
 def stroke_time(logs: Sequence[Log]) -> float | None:
     """Return the median time from a new commanded angle until the shaft has covered 90% of the way
     [s]; None if the logs have fewer than 10 strokes, or if most of them were cut short.
 
-    A stroke that the next command cuts short counts as longer than any other. The time is at least
-    the shortest for which the logs hold a command, because a surrogate cannot predict the force of
-    faster strokes than it has seen.
+    Strokes that are cut short by the next command are treated as longer than all others. The
+    returned time is at least the minimum hold time of commands in the logs, because a surrogate
+    cannot predict the force of faster strokes than those in its training data.
     """
     times = []
     holds: list[int] = []

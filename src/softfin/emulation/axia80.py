@@ -1,7 +1,7 @@
 """An emulated Axia80, loaded by an emulated fin: implements RDT over UDP and serves its web pages.
 
-The fin's wrench is rotated into the sensor axes and converted to counts; loads out of range are
-flagged.
+The wrench of the fin is rotated into the sensor axes and converted to counts; out-of-range loads
+are flagged.
 """
 
 import contextlib
@@ -39,8 +39,7 @@ LIMITS = np.array((500.0, 500.0, 900.0, 20.0, 20.0, 20.0))
 ADC_RATE_HZ = 7812.0
 
 BUSY_AT_START_S = 0.3
-"""Time for which the sensor is busy after power-up [s]; assumed, and not verified that it is busy
-then."""
+"""Time for which the sensor is busy after power-up [s]; an unverified assumption."""
 
 NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
 """Noise [counts], indexed by the sample counter. The noise of a real sensor is thousands of counts
@@ -48,7 +47,7 @@ NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
 compare forces."""
 
 WAKE_S = 0.002
-"""Longest interval between sends [s]; all records due by then are sent."""
+"""Maximum interval between transmissions [s]; each sends all records that are due."""
 
 
 class EmulatedAxia80(EmulatedSensor[bytes]):
@@ -96,7 +95,7 @@ class EmulatedAxia80(EmulatedSensor[bytes]):
         return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
 
     def reboot(self, seconds: float = 0.5) -> None:
-        """Switch off and on: silent for a time [s], then without client, and with a new sample
+        """Restart: stay silent for a time [s], then continue without a client and with a new sample
         counter."""
         with self._lock:
             self._stream = None
@@ -116,7 +115,8 @@ class EmulatedAxia80(EmulatedSensor[bytes]):
                 with self._lock:
                     if request is not None and self._clock() >= self._silent_until:
                         if request is RdtCommand.STOP:
-                            # From any client: there is only one stream, to the latest client.
+                            # Accept requests from any client; there is only one stream, to the
+                            # latest client.
                             self._stream = None
                         else:
                             self._stream = _Stream(sender, self._clock())
@@ -166,7 +166,7 @@ class _Stream:
 def sensor_pages(
     force_unit: str = "N", torque_unit: str = "N-m", serial: str = "FT00000"
 ) -> dict[str, bytes]:
-    """Return the two pages read by clients, by path, in the format of the real ones."""
+    """Return the two pages that clients read, by path, in the format of a real sensor."""
     settings = {
         "prodname": "Emulated Axia80-M20",
         "scfgfu": force_unit,

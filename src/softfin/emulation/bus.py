@@ -76,8 +76,8 @@ class _Client(socketserver.BaseRequestHandler):
                 self.request.sendall(format_frame(message).encode())
 
     def _lines(self) -> Iterator[str]:
-        """Yield the client's messages, split at each '>', until it disconnects or sends a line that
-        is too long."""
+        """Yield the messages of the client, split at each '>', until the client disconnects or
+        sends a line that is too long."""
         rest = ""
         while not self.server.ending.is_set() and len(rest) <= 256:
             with contextlib.suppress(TimeoutError):
@@ -89,7 +89,7 @@ class _Client(socketserver.BaseRequestHandler):
 
 
 def parse_frame(line: str) -> can.Message | None:
-    """Return the frame in a client's line; None if the line is not a frame with an 11-bit
+    """Return the frame in a line from a client; None if the line is not a frame with an 11-bit
     identifier."""
     match = _SEND.fullmatch(line)
     data = bytes(int(part, 16) for part in match[3].split()) if match else b""

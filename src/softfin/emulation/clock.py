@@ -1,4 +1,4 @@
-"""Simulated time with ports to the emulated devices that exist in it."""
+"""Simulated time, with ports to the emulated devices that run on it."""
 
 import can
 
@@ -10,7 +10,7 @@ from softfin.rig.computer import Computer, SerialPort, UdpSocket
 
 
 class SimulatedClock(SimulatedTime, Computer):
-    """A computer in simulated time: each connection is within this process, whatever its
+    """A computer in simulated time; all connections are within this process, whatever their
     configuration."""
 
     def open_bus(self, config: BusConfig) -> can.BusABC:

@@ -1,4 +1,4 @@
-"""Interface of the emulated devices, and how each type is set up and started."""
+"""Interface of the emulated devices, and the configuration and constructor of each type."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -21,17 +21,18 @@ from softfin.tank import Tank
 
 
 class Emulator(NamedTuple):
-    """How to emulate a type of device.
+    """Emulation of a type of device.
 
-    Emulators run from construction until `close`. `address()` returns the fields of the device's
-    configuration that lead to it. `remembered()` of a drive returns the state that a power loss
-    would erase, and `recall` restores it.
+    Emulators run from construction until `close`. `address()` returns the address fields of the
+    device configuration. For a drive, `remembered()` returns the state that a power loss would
+    erase, and `recall` restores this state.
     """
 
     values: JsonObject
-    """The configuration, except for a drive's limits."""
+    """The configuration, without the limits of a drive."""
     start: Callable[..., Any]
-    """Starts an emulator with a configuration, a drive's bus, a fin and the computer."""
+    """Function that starts an emulator with a configuration, the bus of a drive, a fin and the
+    computer."""
 
 
 def _start_axia80(config: Axia80Config, fin: EmulatedFin, clock: Computer) -> EmulatedAxia80:
@@ -107,7 +108,7 @@ def drive_config(name: str, tank: Tank | None, real_time: bool) -> DriveConfig:
             "slowest_rad_s": limits.velocity_min,
             "fastest_rad_s": limits.velocity_max,
         }
-        # The emulated fin is zeroed where it rests.
+        # The emulated fin is zeroed at its rest position.
         if "zero_offset_rad" in kind.config.model_fields:
             values["zero_offset_rad"] = limits.rest_angle
         elif limits.rest_angle != 0:

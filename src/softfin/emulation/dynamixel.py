@@ -32,10 +32,10 @@ from softfin.rig.devices.dynamixel.protocol import (
 from softfin.rig.safety import OVERSHOOT_RAD
 
 SERVO_STEP_S = 0.01
-"""Longest time between two looks at the bus watchdog [s]: half of its unit."""
+"""Maximum time between two checks of the bus watchdog [s]: half of its unit."""
 
 MOUNTED_TICKS = 137
-"""Position of the horn at the fin's zero, counted from the middle of the turn, without a homing
+"""Position of the horn at fin angle 0, counted from the middle of the turn, without a homing
 offset."""
 
 CONSTANT_ENTRIES = (protocol.MODEL_NUMBER, protocol.FIRMWARE_VERSION, protocol.HARDWARE_ERROR)
@@ -53,8 +53,8 @@ class EmulatedServo:
         self, config: DynamixelConfig, fin: EmulatedFin, clock: Computer = COMPUTER
     ) -> None:
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda answer: (answer,)
-        """Function that maps an answer to the bytes that arrive; tests may cut, lose or change
-        it."""
+        """Function that maps an answer to the bytes that arrive; tests may truncate, drop or change
+        answers."""
         self.delay_s = 0.0
         """Delay of each answer [s]."""
         self.is_watchdog_broken = False
@@ -127,7 +127,7 @@ class EmulatedServo:
                 self._switch_off()
 
     def silence(self, seconds: float = float("inf")) -> None:
-        """Neither hear nor answer for a time [s], as with a broken cable; 0 ends the silence."""
+        """Neither receive nor send for a time [s], as with a broken cable; 0 ends the silence."""
         self._silent_until = self._clock() + seconds
 
     def unplug(self) -> None:
@@ -240,7 +240,7 @@ class EmulatedServo:
         return self._status(bytes(self.table[each] for each in selected))
 
     def _resolve(self, address: int) -> int:
-        """Return the address that an indirect one selects."""
+        """Return the address that an indirect address selects."""
         offset = address - protocol.INDIRECT_DATA
         if not 0 <= offset < 28:
             return address
@@ -268,12 +268,12 @@ class EmulatedServo:
         return self._units.position(angle) + self._offset()
 
     def _offset(self) -> int:
-        """Return the difference between the servo's position and the one of `Units`."""
+        """Return the difference between the position of the servo and the position in `Units`."""
         return MOUNTED_TICKS + self._applied_offset()
 
     def _applied_offset(self) -> int:
         offset = self.get(protocol.HOMING_OFFSET)
-        # In position mode, a servo ignores a larger one.
+        # In position mode, a servo ignores larger offsets.
         return offset if abs(offset) <= protocol.MAX_HOMING_OFFSET else 0
 
     def _write(self, request: bytes) -> Refusal | None:
@@ -294,7 +294,7 @@ class EmulatedServo:
         return None
 
     def _refusal(self, changed: dict[int, int]) -> Refusal | None:
-        """Return why a write of these bytes is refused; None if it is not."""
+        """Return the reason for refusing to write these bytes; None if they are accepted."""
         read_only = {
             entry.address + index
             for entry in CONSTANT_ENTRIES
@@ -308,7 +308,7 @@ class EmulatedServo:
         after = bytearray(self.table)
         for address, value in changed.items():
             after[address] = value
-        # After a shutdown, only a restart lets the torque on.
+        # After a shutdown, the torque can be switched on only after a restart.
         is_shut_down = self.get(protocol.HARDWARE_ERROR) & self.get(protocol.SHUTDOWN_ERRORS)
         if is_shut_down and _value(after, protocol.TORQUE_ENABLE):
             return Refusal.RESULT_FAIL

@@ -5,8 +5,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from softfin.rig.machine import Wrench
 
 SENSOR_MOUNTING = "y,-x"
-"""Mounting of an emulated sensor; different from softfin's axes, so that a wrong frame cannot go
-unnoticed."""
+"""Mounting of an emulated sensor; different from softfin's axes so that a wrong frame is
+detected."""
 
 COAST_RAD_S2 = 10.0
 """Deceleration of a fin without voltage [rad/s2]; assumed, far lower than in a quick stop, so that
@@ -25,7 +25,7 @@ class FinMotion(NamedTuple):
     current: float
     """Motor current [A]."""
     wrench: Wrench
-    """Wrench of the fin on its mount, in softfin's axes [N, N m], as output by the sensor's
+    """Wrench of the fin on its mount in softfin's axes [N, N m], as output by the sensor
     electronics."""
 
 

@@ -17,14 +17,14 @@ SIMULATED = "simulated"
 """Value of `bus.interface` in a rig file."""
 
 RMEM_MAX_BYTES = 212_992
-"""Largest receive buffer that a program may request [bytes]: Linux's default for
+"""Maximum receive buffer that a program may request [bytes]: the Linux default for
 `net.core.rmem_max`, which Linux then doubles."""
 
 TRUESIZE_BYTES = 768
 """Memory that Linux accounts for a datagram with one record [bytes], most of which is overhead."""
 
 LINE = 1
-"""Port of the device's end of a serial line; its host is the line's name."""
+"""Port at the device end of a serial line; the host is the name of the line."""
 
 _free_ports = itertools.count(50_000)
 
@@ -92,7 +92,7 @@ class SimulatedSocket:
         self._clock.shared[self.address] = self
 
     def getsockname(self) -> Address:
-        """Return the socket's address."""
+        """Return the address of the socket."""
         return self.address
 
     def fileno(self) -> int:
@@ -103,11 +103,11 @@ class SimulatedSocket:
         """Do nothing: the buffer always has its largest size, and datagrams are timestamped."""
 
     def settimeout(self, seconds: float | None) -> None:
-        """Set the longest wait for a datagram [s]."""
+        """Set the maximum wait for a datagram [s]."""
         self.timeout = seconds or 0.0
 
     def connect(self, address: Address) -> None:
-        """Set the only address to send to and receive from."""
+        """Set the only remote address."""
         self._peer = address
 
     def send(self, data: bytes) -> int:
@@ -159,7 +159,7 @@ class SimulatedSocket:
 
 
 class SimulatedSerialPort:
-    """A program's end of a serial line; `SimulatedLine` is the device's end.
+    """The program end of a serial line; `SimulatedLine` is the device end.
 
     Each program has its own buffer: two programs on one line do not take each other's bytes.
     """
@@ -177,7 +177,7 @@ class SimulatedSerialPort:
         return len(self._arrived)
 
     def read(self, size: int) -> bytes:
-        """Return up to `size` bytes, fewer if no more arrive in time."""
+        """Return `size` bytes, or fewer if the port times out."""
         if len(self._arrived) < size:
             self._take(self._timeout_s)
         data = self._arrived[:size]
@@ -206,7 +206,7 @@ class SimulatedSerialPort:
 
 
 class SimulatedLine:
-    """A device's end of a serial line. Answers go to the most recent sender."""
+    """The device end of a serial line. Answers go to the most recent sender."""
 
     def __init__(self, clock: SimulatedTime, name: str) -> None:
         self._socket = SimulatedSocket(clock, name, LINE)

@@ -3,7 +3,7 @@ for it.
 
 In simulated time, the default, everything runs within one process. In real time, softfin reaches
 the drive over python-can's virtual bus within the same process or over socketcand on loopback from
-another, and the sensor over UDP and HTTP.
+a different process, and the sensor over UDP and HTTP.
 """
 
 import contextlib
@@ -59,8 +59,9 @@ class EmulatedRig(contextlib.ExitStack):
         drive: str = DriveConfig.DEFAULT_TYPE,
         sensor: str = ForceSensorConfig.DEFAULT_TYPE,
     ) -> None:
-        """`fin` replaces the tank and must use the same clock; `channel` is that of the bus, by
-        default a new one for each rig. `drive` and `sensor` are types of devices."""
+        """Start the emulation. `fin` replaces the tank and must use the same clock; `channel` is
+        the channel of the bus (by default a new channel per rig); `drive` and `sensor` are device
+        types."""
         super().__init__()
         self.clock: Computer = clock or SimulatedClock()
         if fin is None:
@@ -69,7 +70,7 @@ class EmulatedRig(contextlib.ExitStack):
         self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         self._sensor = sensor_config(sensor)
-        # Not the protocol's type: tests provoke the faults of each emulator.
+        # The protocol type is not used because tests provoke the faults of each emulator.
         self.sensor: Any = find_emulator(SENSORS, sensor).start(self._sensor, self.fin, self.clock)
         self.callback(self.sensor.close)
         self._drive = drive_config(drive, tank, real_time=not self.clock.is_simulated)
@@ -84,11 +85,11 @@ class EmulatedRig(contextlib.ExitStack):
         """Save the state for the next command, if the rig has a file."""
 
     def connect(self, config: RigConfig) -> Rig:
-        """Return the host's side of this rig, which saves the state when it is closed."""
+        """Return the host side of this rig, which saves the state when it is closed."""
         return _HostSide(config, self)
 
     def description(self) -> str:
-        """Return a description of the rig's addresses."""
+        """Describe the addresses of the rig."""
         place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
             place = f"socketcand {LOOPBACK}:{self.server.port}"
@@ -113,7 +114,7 @@ class EmulatedRig(contextlib.ExitStack):
 
 
 class _HostSide(Rig):
-    """A rig that leaves the state of its emulation to the next command."""
+    """A rig that saves the state of its emulation for the next command."""
 
     def __init__(self, config: RigConfig, emulated: EmulatedRig) -> None:
         super().__init__(config, emulated.clock)
@@ -131,8 +132,8 @@ rigs: dict[Path, EmulatedRig] = {}
 
 
 def kept_rig(config: RigConfig) -> EmulatedRig:
-    """Return the emulated rig of a file in the state left by the previous command; raises
-    RigError."""
+    """Return the emulated rig of a file in the state left by the previous command; raises RigError
+    if the rig cannot be emulated."""
     if config.file is None:
         raise RigError(
             "an emulated rig needs a file; write one with softfin rig emulate and load it"
@@ -150,7 +151,7 @@ def state_file(rig: Path) -> Path:
 class _KeptRig(EmulatedRig):
     """A rig in simulated time with a state file next to its file, for the next command.
 
-    The state consists of the fin's position, the motion of the water and the drive's zero.
+    The state consists of the fin position, the motion of the water and the zero of the drive.
     """
 
     def __init__(self, config: RigConfig, file: Path) -> None:
@@ -218,7 +219,7 @@ def write_simulated(
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:
     """Write a rig file, with a comment at the top."""
-    # A new rig must not inherit the record of the one that it replaces.
+    # A new rig must not inherit the record of the previous rig.
     record_file(path).unlink(missing_ok=True)
     text = f"# {comment}; for a real rig, see docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
@@ -227,7 +228,7 @@ def write_rig(path: Path, values: JsonObject, comment: str) -> None:
 # The emulated fin draws 1.1 A at peak and 0.3 A on average over 0.5 s; the emulated drive allows 4
 # A and 2 A.
 EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
-"""Current limits that an emulated fin stays within, and that trip before the drive limits the
+"""Current limits that an emulated fin does not exceed, and that trip before the drive limits the
 current."""
 
 

@@ -1,4 +1,4 @@
-"""An emulated sensor that sends records of a fin's force at a constant rate, with noise."""
+"""An emulated sensor that sends noisy records of the force of a fin at a constant rate."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ from softfin.emulation.fin import SENSOR_MOUNTING, EmulatedFin
 from softfin.rig.machine import Wrench, rotated, rotation
 
 Record = TypeVar("Record")
-"""Record with one wrench, in the form that is sent."""
+"""Record with one wrench in the form in which it is sent."""
 
 LOAD_NOISE = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 6))
 """Noise of each channel by the number of the record [N, N m]; small, so that tests can compare
@@ -28,16 +28,16 @@ class EmulatedSensor(ABC, Generic[Record]):
     thread."""
 
     def __init__(self, fin: EmulatedFin, rate_hz: float, clock: Clock, frame: str) -> None:
-        """`frame` contains the sensor axes along softfin's."""
+        """Prepare the sensor; `frame` contains the sensor axes along softfin's axes."""
         self.transmit: Callable[[Record], Iterable[Record]] = lambda record: (record,)
-        """Function that maps a record to those that arrive; tests may cut, double, lose, delay or
-        change records."""
+        """Function that maps a record to the records that arrive; tests may truncate, duplicate,
+        drop, delay or change records."""
         self.rate_hz = rate_hz
         self.are_values_frozen = False
         """Whether all six channels are frozen while records continue."""
         self._fin = fin
         self._clock = clock
-        # The inverse of the host's rotation: from softfin's axes to the sensor's.
+        # The inverse of the rotation in the host: from softfin's axes to the sensor axes.
         self._rotation = rotation(frame).T
         self._silent_until = 0.0
         self._closing = clock.event()
@@ -52,7 +52,7 @@ class EmulatedSensor(ABC, Generic[Record]):
         """Remove the connection; may be called repeatedly."""
 
     def measure(self) -> Wrench:
-        """Return the present wrench in the sensor axes [N, N m]."""
+        """Return the current wrench in the sensor axes [N, N m]."""
         return rotated(self._fin.now().wrench, self._rotation)
 
     def silence(self, seconds: float = float("inf")) -> None:

@@ -29,14 +29,14 @@ class TankFin:
         self._lock = threading.RLock()
         self._state: PyTree = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
-        # Two steps, so that everything is compiled before the first reading.
+        # Run two steps so that everything is compiled before the first reading.
         self._before = self._step()
         self._after = self._step()
         self._time = clock()
         self._latest: tuple[float, FinMotion] | None = None
 
     def remembered(self) -> JsonObject:
-        """Return the complete state, for JSON."""
+        """Return the complete state for JSON."""
         with self._lock:
             self._catch_up()
             leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
@@ -58,8 +58,7 @@ class TankFin:
             self._latest = None
 
     def move(self, angle: float, velocity: float) -> None:
-        """Move to an angle [rad], clamped to the limits of the tank's drive, as a real drive would
-        do."""
+        """Move to an angle [rad], clamped to the limits of the tank drive as in a real drive."""
         limits = self.tank.limits
         with self._lock:
             self._catch_up()
@@ -125,8 +124,8 @@ class TankFin:
 
 @jax.jit
 def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 6"]]:
-    """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
-    (x, y) as one array."""
+    """Advance by one sample; return the state and an array of angle, velocity, profile angle,
+    torque and force (x, y)."""
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive

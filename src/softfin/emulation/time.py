@@ -1,5 +1,5 @@
-"""Simulated time, shared by threads that take turns: as fast as the computer allows, and identical
-in every run.
+"""Simulated time, shared by threads that take turns. It advances as fast as the computer allows and
+is identical in every run.
 
 The thread that creates the clock and the threads that it spawns are its members. Exactly one member
 runs until it waits; then, of the members that are ready, the one that has waited longest continues.
@@ -56,8 +56,8 @@ class SimulatedTime(Clock):
         self.shared: dict[Any, Any] = {}
         """Buses, sockets and web pages on this clock, by address."""
         self._guard = threading.RLock()
-        """Guards the attributes below; held only briefly, because threads that are not members use
-        it too."""
+        """Protects the attributes below; held only briefly, because threads that are not members
+        also use it."""
         self._waiting: list[_Member] = []
         self._local = threading.local()
         self._running: _Member | None = _Member()
@@ -68,8 +68,8 @@ class SimulatedTime(Clock):
         return self._now
 
     def wall(self) -> float:
-        """Return the wall-clock time [s]: that at which the clock was created, plus the simulated
-        time since, plus `wall_set_s`."""
+        """Return the wall-clock time [s]: the wall-clock time at which the clock was created, plus
+        the simulated time since, plus `wall_set_s`."""
         return self._wall + (self._now - BEGIN_S) + self.wall_set_s
 
     def suspended(self) -> float:
@@ -91,7 +91,7 @@ class SimulatedTime(Clock):
     lock = condition
 
     def spawn(self, target: Callable[[], object], name: str) -> threading.Thread:
-        """Start a member; its first turn comes when the current one waits."""
+        """Start a member; its first turn comes when the current member waits."""
         thread = _Thread(self, target, name)
         thread.start()
         with self._guard:
@@ -122,8 +122,8 @@ class SimulatedTime(Clock):
         return is_ready
 
     def go_on(self) -> None:
-        """If all members wait, let the next one run; if none is ready, first advance to the
-        earliest time that one waits for."""
+        """If all members wait, let the next one run; if no member is ready, first advance to the
+        earliest time for which a member waits."""
         with self._guard:
             if self._running is not None or not self._waiting:
                 return

@@ -1,1 +1,1 @@
-"""Experiments: scores, figures, report (paper Sec. IV)."""
+"""Experiments: scores, figures and report (paper Sec. IV)."""

@@ -1,4 +1,4 @@
-"""Evaluate a controller on a plant and write ``evaluation.json`` and figures as a folder."""
+"""Evaluates a controller on a plant and writes a folder with ``evaluation.json`` and figures."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -56,37 +56,38 @@ from softfin.task.signals import Recorded
 
 
 class EvaluateConfig(Configuration):
-    """Configuration of the experiments by which a controller is scored."""
+    """Configuration of the experiments for scoring a controller."""
 
     references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
         default=()
     )
-    """Reference forces (x, y) [N]; by default the paper's six, or the same pattern within the
-    reach of a different fin."""
+    """Reference forces (x, y) [N]; by default the paper's six references, or the same pattern
+    scaled to the reach of the fin."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
-    """Duration of each experiment from rest [s], an integer; 30 in the paper. Means begin once
-    the first window is full."""
+    """Duration of each experiment from rest [s], an integer; 30 in the paper. Means start when the
+    first window is full."""
     seeds: int = pydantic.Field(default=5, ge=1)
-    """Number of repetitions with different randomness of the plant; intervals need at least 3."""
+    """Number of repetitions with different plant seeds; confidence intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Seed of the run, from which the seeds of the repetitions and all other randomness derive."""
+    """Seed of the run, from which the seeds of the repetitions and all other randomness are
+    derived."""
     moving: bool = False
-    """Whether to evaluate also steps of the reference within the controller's range."""
+    """Whether to also evaluate reference steps within the range of the controller."""
     recorded: Recorded | None = None
-    """Another moving reference, read from a file; its last force is held for as long as the
-    previous one."""
+    """Additional moving reference from a file; the last force is held for as long as the previous
+    one."""
     strict: bool = False
     """Whether unreachable references are errors; otherwise, the nearest reachable force is
     tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """Force feedback, which subtracts the controller's estimated steady-state error; None for no
-    feedback."""
+    """Force feedback, which subtracts the estimated steady-state error of the controller; None for
+    no feedback."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
-    """Number of random references, drawn from the reachable forces that the controller was trained
-    for; None to draw none."""
+    """Number of random references, drawn from the reachable forces for which the controller was
+    trained; None for no random references."""
 
     def keys(self) -> Key[Array, "seeds"]:
-        """Return the keys of the repetitions, with which a plant is initialized."""
+        """Return the keys with which the plant is initialized in each repetition."""
         return jnp.stack(
             [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
         )
@@ -94,27 +95,28 @@ class EvaluateConfig(Configuration):
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Scores of all experiments, and the recording of the first repetition."""
+    """Scores of all experiments and the recording of the first repetition."""
 
     config: EvaluateConfig
     scores: Scores
     repetitions: int
-    """Number of independent repetitions; 1 for a deterministic plant, which ignores the seed."""
+    """Number of independent repetitions; 1 for a deterministic plant, because it ignores the
+    seed."""
     recording: ExperimentRecording
-    """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
+    """Recording of the first repetition: fields ``(references, 1, ticks)``, as NumPy arrays."""
     distance: Float[np.ndarray, "references ticks"] | None = None
-    """Distance from a surrogate's training data; None for other plants."""
+    """Distance from the training data of a surrogate; None for other plants."""
     warnings: tuple[str, ...] = ()
-    """Warnings about references that were replaced by the nearest reachable forces."""
+    """Warnings about references that were replaced by the nearest reachable force."""
     moving: tuple[MovingScores, ...] = ()
     """Experiments with moving references, grouped by length."""
     random: RangeErrors | None = None
     """Errors over random references."""
     reachable: Reachable | None = None
-    """Forces that the fin can produce, if the controller's file contains them."""
+    """Reachable forces of the fin, if the controller file contains them."""
 
     def summary(self) -> EvaluationSummary:
-        """Return the conditions, the scores by reference and their mean, as written by
+        """Return the conditions, the scores of each reference and their mean, as written by
         `write_evaluation`."""
         uncertain = None if self.distance is None else outside_warning(self.distance)
         summary = cast(EvaluationSummary, artifacts.head("evaluation"))
@@ -166,9 +168,9 @@ def score_controller(
 ) -> Evaluation:
     """Run and score all experiments; errors are relative to the tracked reference.
 
-    Raises CoverageError for references for which the controller was not trained, and with
-    `config.strict` also for unreachable references, and ConfigurationError if the experiments are
-    too short for the controller's clock.
+    Raises CoverageError if the controller was not trained for a reference or, with `config.strict`,
+    if a reference is unreachable. Raises ConfigurationError if the experiments are too short for
+    the clock of the controller.
     """
     reachable = reachable_set(controller)
     config = _with_references(config, controller)
@@ -180,7 +182,8 @@ def score_controller(
         if warning is not None:
             warnings.append(warning)
     tracked = np.array(references, np.float32)
-    # Only after the references are resolved: these are what the feedback has to reach.
+    # The feedback is added only after the references are resolved, because it must reach the
+    # resolved references.
     if config.trim is not None:
         controller = DisturbanceObserver(controller, config.trim)
     plans = list(plan_moving(controller, config.moving, config.recorded, config.strict))
@@ -220,7 +223,7 @@ def _with_references(config: EvaluateConfig, controller: Controller) -> Evaluate
 def score_experiments(
     recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig
 ) -> Evaluation:
-    """Score experiments at the configured references, regardless of the source of the commands."""
+    """Run and score experiments at the configured references, for any source of commands."""
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
@@ -228,7 +231,7 @@ def score_experiments(
 
 
 def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
-    """Raise PlantError if a controller's commands exceed the plant's limits."""
+    """Raise PlantError if the commands of a controller can exceed the limits of the plant."""
     for i, quantity in ((0, "angle"), (2, "velocity")):
         ours = asked[i : i + 2]
         theirs = taken[i : i + 2]
@@ -242,8 +245,8 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
 
 
 def together(evaluations: Sequence[Evaluation]) -> Evaluation:
-    """Combine evaluations into one, in which each becomes a repetition; recordings and plans are
-    those of the first. Random references are pooled.
+    """Combine evaluations into one: each becomes a repetition, recordings and plans are taken from
+    the first evaluation, and random references are pooled.
 
     Raises ConfigurationError if the controllers tracked different forces.
     """
@@ -281,8 +284,8 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
 
 
 def _track_the_same(one: Evaluation, other: Evaluation) -> bool:
-    """Whether two evaluations have the same tracked references, also at every tick of moving
-    ones."""
+    """Return whether two evaluations have the same tracked references, including every tick of
+    moving references."""
     tracked = [[each.recording.reference] for each in (one, other)]
     for forces, evaluation in zip(tracked, (one, other), strict=True):
         forces += [moving.plan.tracked for moving in evaluation.moving]
@@ -299,10 +302,10 @@ def evaluate_controllers(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> EvaluationSummary:
-    """Evaluate the controllers in some folders; with `out`, write the evaluation.
+    """Evaluate the controllers in one or more folders; with `out`, write the evaluation.
 
-    Several controllers, such as those trained from different seeds, are the repetitions of one
-    evaluation; each has the next seed.
+    Several controllers, for example from different training seeds, are treated as repetitions of
+    one evaluation with consecutive seeds.
     """
     controllers = [load_controller(path) for path in paths]
     controller = controllers[0]
@@ -339,14 +342,14 @@ def write_evaluation(
     metadata: Mapping[str, object] | None = None,
     overwrite: bool = False,
 ) -> EvaluationSummary:
-    """Write a folder with ``evaluation.json`` and the figures; return the content of the JSON
+    """Write a folder with ``evaluation.json`` and the figures, and return the content of the JSON
     file.
 
-    It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
-    ``conditions``, ``configuration`` (without a recorded reference) and ``provenance``;
+    The JSON file contains `Evaluation.summary`, with `metadata` (e.g. controller and plant) added
+    to ``conditions``, the ``configuration`` (without a recorded reference) and the ``provenance``;
     docs/files.md explains the keys.
     """
-    # Matplotlib, which takes a second, is only imported to draw.
+    # Imported here because importing Matplotlib takes a second and is needed only for drawing.
     from softfin.evaluation.figures import experiments_figure, fin_figure, moving_figure
     from softfin.storage.figures import save_figure
 

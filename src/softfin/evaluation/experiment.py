@@ -1,6 +1,6 @@
 """The paper's experiment: starting from rest, a controller tracks a reference force on a plant.
 
-The controller acts three times per second (paper Sec. IV), or at the rate of its own clock.
+The controller acts three times per second (paper Sec. IV) or at the rate of its own clock.
 
 References may be constant or moving. All references and seeds run in parallel in one compiled
 program, which records every tick of 10 ms.
@@ -32,18 +32,18 @@ from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 
 def min_seconds(clock: ActionClock) -> int:
-    """Return the shortest experiment [s]: the first window and up to a second of further ones, and
-    two whole actions in its second half."""
+    """Return the minimum duration of an experiment [s]: it must contain the first window and up to
+    a second of further windows, and two complete actions in its second half."""
     return max(clock.window_ticks // RATE_HZ + 1, math.ceil(4 * clock.max_ticks / RATE_HZ))
 
 
 MIN_SECONDS = min_seconds(PAPER_CLOCK)
-"""Shortest experiment with the paper's clock [s]."""
+"""Minimum duration of an experiment with the paper's clock [s]."""
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
-"""Reference forces (x, y) [N]: one per experiment, or one per tick, valid until that tick's
-reading."""
+"""Reference forces (x, y) [N]: one per experiment, or one per tick, valid until the reading of the
+tick."""
 
 
 class ExperimentRecording(NamedTuple):
@@ -51,23 +51,22 @@ class ExperimentRecording(NamedTuple):
 
     reference: ReferenceSeries
     command: Command
-    """Fields ``(references, seeds, ticks)``: the command that was active up to the reading of that
+    """Fields ``(references, seeds, ticks)``: the command that was active until the reading of the
     tick."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
     true_force: Float[AnyArray, "references seeds ticks 2"] | None = None
-    """Force on the mount without sensor errors [N]; None if the plant has only readings."""
+    """Force on the mount without sensor errors [N]; None if the plant provides only readings."""
     clock: ActionClock = PAPER_CLOCK
     """Clock of the controller."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
-        """Force that controllers are scored by [N]: the true force if known, otherwise the
-        reading."""
+        """Force used for scoring [N]: the true force if known, otherwise the reading."""
         return self.reading.force if self.true_force is None else self.true_force
 
     def first(self) -> "ExperimentRecording":
-        """Return the first seed as NumPy arrays; the axis of seeds remains, with length 1."""
+        """Return the first seed as NumPy arrays; the seed axis remains, with length 1."""
         command, reading, true_force = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
@@ -91,7 +90,7 @@ class RealTime(Protocol):
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run each reference `repetitions` times, one after another, from rest."""
+        """Run each reference `repetitions` times from rest, one run after the other."""
         ...
 
 
@@ -106,7 +105,7 @@ def run(
     seconds: int,
     keys: Key[Array, "seeds"],
 ) -> ExperimentRecording:
-    """Run every reference with every key of the plant, each from rest.
+    """Run every reference with every plant key, each from rest.
 
     A reference is one force, or one force per tick. The controller observes the force at the tick
     at which it acts.
@@ -120,8 +119,8 @@ def run_together(
     experiments: Sequence[tuple[AnyArray, int]],
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
-    """Run several sets of references, each with its own duration [s]; on a simulated plant, all run
-    in one program."""
+    """Run several sets of references, each with its own duration [s]; on a simulated plant, one
+    program runs all sets."""
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
@@ -137,13 +136,13 @@ def run_together(
                 f"{seconds * RATE_HZ}"
             )
         asked = asked[:, None] if asked.ndim == 2 else asked
-        # Shorter experiments hold their last force to the end of the longest; these ticks are cut
-        # off below.
+        # Shorter experiments hold their last force until the end of the longest experiment; these
+        # ticks are cut off below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
     parties = (controller, plant)
     recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys, clock)
-    # Each set gets its own rows of the results, and the ticks of its own duration.
+    # Each set gets its own rows and ticks of the results.
     first = 0
     recordings = []
     for references, seconds in experiments:
@@ -156,8 +155,8 @@ def run_together(
 
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
-    """Drop the repetitions of a deterministic plant, which are identical; raises PlantError for
-    values that are not finite."""
+    """Drop the repetitions of a deterministic plant, which are identical; raises PlantError if a
+    value is not finite."""
     force = np.asarray(recording.reading.force)
     angle = np.asarray(recording.reading.angle)
     finite = {"force": np.isfinite(force).all(axis=-1), "angle": np.isfinite(angle)}
@@ -180,7 +179,8 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
 
 
 RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
-"""Commands, readings and, if the plant computes it, the true force over a series of ticks."""
+"""Commands, readings and true forces (None if the plant does not compute them) over a series of
+ticks."""
 
 
 @jit("low")
@@ -204,7 +204,7 @@ def _program(
         state, (reading, true_force) = hold_action_with_true_force(
             plant, state, command, ticks, clock.max_ticks
         )
-        # Readings are padded to the longest action, so pick the last valid angle and average only
+        # Readings are padded to the longest action, so use the last valid angle and average only
         # over the valid forces.
         measured = Measured(
             jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
@@ -220,7 +220,7 @@ def _program(
         recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
         return recorded
 
-    # Keys are the inner axis and references the outer one: (references, seeds, ticks).
+    # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )

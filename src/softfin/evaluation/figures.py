@@ -1,4 +1,4 @@
-"""Draw Matplotlib figures of experiments and errors."""
+"""Draws Matplotlib figures of experiments and errors."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -21,7 +21,7 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, style
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
-"""Length of the plots from the start of an experiment [s], as in the paper's evaluation figure."""
+"""Plotted time from the start of an experiment [s], as in the evaluation figure of the paper."""
 
 
 def experiments_figure(
@@ -29,8 +29,8 @@ def experiments_figure(
     titles: Sequence[str] = (),
     seconds: int = FORCE_SECONDS,
 ) -> Figure:
-    """Draw the fin's trajectory and the force on both axes for every reference, at the first seed,
-    up to `seconds` [s]."""
+    """Draw the trajectory of the fin and the force on both axes for every reference at the first
+    seed, up to `seconds` [s]."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
@@ -58,7 +58,7 @@ def experiments_figure(
 
 def fin_figure(recording: ExperimentRecording) -> Figure:
     """Draw the fin with its forces at the end of the first experiment, and its stroke in grey. The
-    shape is unknown, so the fin is drawn straight, one length long."""
+    shape is unknown, so the fin is drawn as a straight line of length 1."""
     window = recording.clock.window_ticks
     angle = np.asarray(recording.reading.angle[0, 0, -window:])
     force = np.asarray(recording.force[0, 0, -window:])
@@ -78,7 +78,7 @@ def fin_figure(recording: ExperimentRecording) -> Figure:
 
 
 def moving_figure(moving: MovingScores) -> Figure:
-    """Draw the experiments with moving references, with their errors and settling times."""
+    """Draw the experiments with moving references, including errors and settling times."""
     titles = []
     for row in moving.rows():
         x, y = (row[axis]["error_n"] for axis in ("x", "y"))
@@ -90,7 +90,7 @@ def moving_figure(moving: MovingScores) -> Figure:
 
 
 def _round_limits(low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "axes 2"]:
-    """Return limits with round numbers, shared by the axes of all panels."""
+    """Return round limits that all panels share."""
     unit = 10.0 ** np.floor(np.log10(max(float((high - low).max()), 1e-9) / 4))
     low = np.floor(low / unit) * unit
     high = np.ceil(high / unit) * unit
@@ -128,7 +128,7 @@ def _draw_force(
     reference: Float[np.ndarray, "rows 2"],
     window: int,
 ) -> None:
-    """Draw each axis of a force with its moving average and its reference."""
+    """Draw each axis of a force with its moving average and reference."""
     time = np.arange(1, len(force) + 1) / RATE_HZ
     average = moving_average(np.asarray(force), window)
     wanted = np.broadcast_to(reference, (len(force), 2))
@@ -150,10 +150,11 @@ def _draw_force(
 
 
 def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
-    """Draw the angle in the force's axes: at angle 0, the fin points left (-x), and at positive
-    angles up (+y)."""
+    """Draw the angle in the axes of the force: at angle 0, the fin points left (-x), and at
+    positive angles, it points up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
-    # At least 90 degrees to both sides, more in steps of 15 degrees if the fin moves further.
+    # Show at least 90 degrees to both sides, and more in steps of 15 degrees if the fin moves
+    # further.
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
     axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
     axes.set_thetagrids(range(-90, 91, 30))

@@ -1,4 +1,4 @@
-"""Draw a fin from above with forces on its mount, for the Gymnasium environment and the
+"""Draws a fin from above with forces on its mount, for the Gymnasium environment and the
 documentation."""
 
 import numpy as np
@@ -8,15 +8,15 @@ from matplotlib.axes import Axes
 from softfin.storage.figures import BLACK, BLUE, ORANGE
 
 ARROWS = {"force": BLUE, "mean force": BLACK, "target force": ORANGE}
-"""Colours of the arrows by name, in the order of the forces."""
+"""Colour of each arrow by name, in the order of the forces."""
 
 CentreLine = Float[np.ndarray, "points 2"]
 Forces = Float[np.ndarray, "forces 2"]
 
 
 def draw_fin(axes: Axes, shape: CentreLine, forces: Forces, scale_n: float) -> None:
-    """Draw a fin by its centre line [m], and up to three forces on its mount (x, y) [N] as arrows,
-    in the order of `ARROWS`. An arrow of `scale_n` is as long as the fin."""
+    """Draw the centre line of a fin [m], and up to three forces (x, y) on its mount [N] as arrows,
+    in the order of `ARROWS`. The arrow of a force of `scale_n` is as long as the fin."""
     length = np.linalg.norm(np.diff(shape, axis=0), axis=1).sum()
     axes.plot(*shape.T, color="#3E4C59", linewidth=9, solid_capstyle="round")
     for (x, y), (name, colour) in zip(forces * length / scale_n, ARROWS.items(), strict=False):

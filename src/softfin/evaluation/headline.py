@@ -1,4 +1,4 @@
-"""Texts about the scores of a run: its outcome in one sentence, and the spread over seeds."""
+"""Texts about the scores of a run: the outcome in one sentence, and the spread over seeds."""
 
 import math
 from collections.abc import Sequence
@@ -11,22 +11,21 @@ from softfin.storage.figures import with_minus_signs
 
 
 class Headline(NamedTuple):
-    """Best controller of a run, by mean error in the plant, and its outcome."""
+    """Best controller of a run (by mean error in the plant) and its outcome."""
 
     controller: str
     """Kind of controller."""
     sentence: str
-    """Outcome: whether the controller holds the references."""
+    """Outcome in one sentence: whether the controller holds the references."""
     holds: bool
-    """Whether the error at every reference is at most the band within which a force is settled, on
-    both axes."""
+    """Whether the error at every reference is within the settled band on both axes."""
 
 
 def headline(results: RunResults) -> Headline | None:
-    """Choose the best controller in a run's ``results.json``, with force feedback if evaluated;
-    None without controllers.
+    """Choose the best controller in the ``results.json`` of a run, with force feedback if
+    evaluated; None if there are no controllers.
 
-    A controller that leaves the fin at rest ranks last, no matter how small its error is.
+    A controller that leaves the fin at rest ranks last, however small its error is.
     """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
@@ -63,27 +62,26 @@ def _is_still(summary: EvaluationSummary) -> bool:
 
 
 def _error(row: MeanScores) -> float:
-    """Return the larger of the two axes' errors [N]."""
+    """Return the larger error of the two axes [N]."""
     return max(row[axis]["error_n"] for axis in AXES)
 
 
 def error_decimals(summary: EvaluationSummary) -> int:
-    """Return the number of decimals with which to show errors [N]: one more than for the
-    references."""
+    """Return the number of decimals for displaying errors [N]: one more than for references."""
     forces = [abs(force) for row in summary["references"] for force in row["reference_n"]]
     return force_decimals(max(forces)) + 1
 
 
 def within(error_n: float, decimals: int = 2) -> str:
-    """Return the error rounded up to these decimals, so that it is a valid upper bound."""
+    """Return the error, rounded up to a number of decimals so that it is a valid upper bound."""
     # Round first: 100 * 0.07 is 7.000000000000001, which would become 0.08.
     units = 10**decimals
     return f"{math.ceil(round(units * error_n, 6)) / units:.{decimals}f}"
 
 
 def over_seeds(interval: list[float] | None, values: Sequence[float], decimals: int = 3) -> str:
-    """Return the text that follows a mean over seeds: half the interval, the range of the values if
-    there are two seeds, or nothing for one seed."""
+    """Return the text after a mean over seeds: half the interval, the range of the values for two
+    seeds, or nothing for one seed."""
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.{decimals - 1}f}"
     if len(set(values)) > 1:
@@ -92,8 +90,8 @@ def over_seeds(interval: list[float] | None, values: Sequence[float], decimals: 
 
 
 def settling_time(row: MovingRow) -> str:
-    """Return the longest settling time of a moving reference's steps over all seeds; empty without
-    steps."""
+    """Return the longest settling time of the steps of a moving reference over all seeds; empty if
+    there are no steps."""
     if row["settles"] is None:
         return ""
     return f"{row['longest_settling_s']:.1f} s" if row["settles"] else "never"

@@ -1,4 +1,4 @@
-"""Experiments with moving references: steps within a controller's range, or a recorded signal.
+"""Experiments with moving references: steps within the range of a controller, or a recorded signal.
 
 The results are recordings, tracking errors and the response to every step.
 """
@@ -22,20 +22,20 @@ from softfin.storage import artifact as artifacts
 from softfin.task.signals import Recorded, ReferenceSamples, step
 
 STEPS = (((3, 3), (5, 3)), ((1, 1), (3, 3)), ((3, 1), (3, 5)), ((5, 3), (1, 1)))
-"""Start and end of the default steps within a controller's range, in sixths of the range on each
-axis. Within the paper's range, they are (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1) and
-(3, 0) to (1, -1) N."""
+"""Start and end of the default steps, in sixths of the controller's range on each axis. For the
+paper's range, the steps are (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1) and (3, 0) to
+(1, -1) N."""
 
 STEP_SECONDS = 20
-"""Length of an experiment with a step, which occurs at half of it [s]."""
+"""Duration of an experiment with a step, which occurs after half this time [s]."""
 
 
 def default_steps(cell: Cell, reachable: Reachable | None = None) -> tuple[Recorded, ...]:
     """Return the default steps within a range; unreachable forces are replaced by the nearest
-    reachable ones."""
+    reachable forces."""
     low = np.asarray(cell.low)
     high = np.asarray(cell.high)
-    # Short enough to print, and exact enough to stay reachable.
+    # Few enough digits to print, but enough for the force to stay reachable.
     decimals = force_decimals(float(np.abs([low, high]).max())) + 2
 
     def at(sixths: tuple[int, int]) -> ForceVector:
@@ -54,7 +54,7 @@ def default_steps(cell: Cell, reachable: Reachable | None = None) -> tuple[Recor
 
 
 class MovingPlan(NamedTuple):
-    """Signals of equal length, with the forces to track."""
+    """Signals of equal length and the forces to track."""
 
     name: str
     """Name of the figure."""
@@ -62,11 +62,11 @@ class MovingPlan(NamedTuple):
     seconds: int
     tracked: Float[np.ndarray, "signals ticks 2"]
     """Tracked reference, one force per tick [N]: the signal, with unreachable forces replaced by
-    the nearest reachable ones."""
+    the nearest reachable forces."""
     warnings: tuple[str, ...]
     """Warnings about unreachable forces."""
     settled_n: float
-    """Distance from the reference within which the force counts as settled [N]."""
+    """Distance from the reference within which the force is treated as settled [N]."""
 
     @classmethod
     def of(
@@ -77,8 +77,8 @@ class MovingPlan(NamedTuple):
         seconds: int,
         strict: bool = False,
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError for forces outside the controller's range,
-        and with `strict` also for unreachable forces."""
+        """Find the forces to track; raises CoverageError if a force is outside the range of the
+        controller or, with `strict`, unreachable."""
         tracked = []
         warnings = []
         for signal in signals:
@@ -109,10 +109,10 @@ class MovingScores(NamedTuple):
     ticks)``."""
     scores: Scores
     settling: list[Float[np.ndarray, "seeds steps"]]
-    """Settling times by signal [s]; NaN for never."""
+    """Settling times of each signal [s]; NaN for never."""
 
     def rows(self) -> list[MovingRow]:
-        """Return the scores of each signal, for JSON."""
+        """Return the scores of each signal for JSON."""
         rows: list[MovingRow] = []
         for index, (signal, times) in enumerate(zip(self.plan.signals, self.settling, strict=True)):
             settles = bool(np.isfinite(times).all()) if times.size else None
@@ -132,10 +132,11 @@ class MovingScores(NamedTuple):
 def _resolve_signal(
     controller: Controller, signal: Recorded, ticks: int, strict: bool
 ) -> tuple[ReferenceSamples, str | None]:
-    """Return the force to track at each tick (the nearest reachable force), and a warning if it
-    differs from the signal."""
+    """Return the force to track at each tick (the nearest reachable force), and a warning if the
+    forces differ from the signal."""
     references = signal.sample(ticks)
-    # Most ticks of a signal repeat a force, and the search for the nearest reachable one is slow.
+    # Search only once per distinct force: most ticks of a signal repeat a force, and the search for
+    # the nearest reachable force is slow.
     distinct, places = np.unique(references, axis=0, return_inverse=True)
     near = nearest_trackable(controller, distinct).astype(np.float32)[places.reshape(-1)]
     distance = np.hypot(*(near - references).T)

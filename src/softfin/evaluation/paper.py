@@ -1,8 +1,8 @@
-"""Scores of the paper as printed: Table I, and Table II with x error, x std, y error and y std [N]
-in each row.
+"""Scores printed in the paper: Table I, and Table II with x error, x std, y error and y std [N] in
+each row.
 
-The last row of Table II, "Overall mean", is not always the mean of the rows above it: the grid's y
-std is printed as 0.201, but the rows give 0.293.
+The last row of Table II, "Overall mean", is not always the mean of the rows above: for the grid,
+the printed y std is 0.201, but the mean of the rows is 0.293.
 """
 
 PaperScores = tuple[float, float, float, float]
@@ -11,7 +11,7 @@ PAPER_TABLE_I = {
     "posnet": {"window": 100, "parameters": 113_601, "rmse": 0.03, "mae": 0.002, "dtw": 0.002},
     "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
 }
-"""Scores by network; the paper does not state units or the normalisation of DTW."""
+"""Scores by network; the paper states neither units nor the normalisation of DTW."""
 
 PAPER_TABLE_II: dict[str, dict[tuple[float, float], PaperScores]] = {
     "single": {

@@ -1,6 +1,6 @@
-"""Errors over a controller's full range, at random references.
+"""Errors over the full range of a controller, at random references.
 
-All references run in one compiled program, each from rest, with one seed.
+One compiled program runs all references, each from rest and with one seed.
 """
 
 import jax.numpy as jnp
@@ -21,15 +21,15 @@ ReferenceForces = Float[np.ndarray, "references 2"]
 """Reference forces (x, y) [N]."""
 
 MAX_RANDOM = 10_000
-"""Maximum number of random references; they all run together."""
+"""Maximum number of random references, which all run together."""
 
 ROUNDS = 100
-"""Number of forces drawn per random reference; if too few of them are reachable, the cells are
-treated as unreachable."""
+"""Number of forces drawn per random reference; if too few are reachable, the cells are treated as
+unreachable."""
 
 
 def summarize(references: ReferenceForces, error: ReferenceForces) -> RangeErrors:
-    """Return the errors at many references (x, y) [N] as values for JSON."""
+    """Return the errors (x, y) at many references [N] as values for JSON."""
     return {
         "references_n": references.round(4).tolist(),
         "errors_n": error.tolist(),
@@ -42,7 +42,7 @@ def summarize(references: ReferenceForces, error: ReferenceForces) -> RangeError
 def controller_range(controller: Controller) -> Cell:
     """Return the bounding box of a controller's cells.
 
-    A controller without cells covers everything; its range is the paper's.
+    A controller without cells covers every reference; the paper's range is used for it.
     """
     return bounding_box(controller_cells(controller) or (PAPER_RANGE,))
 
@@ -69,8 +69,8 @@ def random_errors(
     seconds: int,
     key: PRNGKeyArray,
 ) -> RangeErrors:
-    """Compute the errors at random references within the controller's cells and the fin's reachable
-    region."""
+    """Compute the errors at random references within the cells of the controller and the reachable
+    region of the fin."""
     references = draw_references(controller, count, named_generator(seed, "evaluate/random"))
     return summarize(references, errors_at(controller, plant, references, seconds, key))
 
@@ -79,7 +79,7 @@ def draw_references(
     controller: Controller, count: int, generator: np.random.Generator
 ) -> ReferenceForces:
     """Draw forces uniformly over the reachable part of a controller's cells; raises CoverageError
-    if hardly any force in them is reachable."""
+    if hardly any force in the cells is reachable."""
     cell = controller_range(controller)
     forces = generator.uniform(cell.low, cell.high, (ROUNDS * count, 2))
     accepted = np.zeros(len(forces), bool)

@@ -1,6 +1,7 @@
-"""Write the ``report.html`` of a run: tables, figures, learning curves, configuration, provenance.
+"""Writes the ``report.html`` of a run: tables, figures, learning curves, configuration and
+provenance.
 
-The page is self-contained and needs no network. Sections without data are omitted.
+The report is self-contained and needs no network connection. Sections without data are omitted.
 """
 
 import base64
@@ -29,7 +30,7 @@ from softfin.storage.figures import (
 )
 
 Figures = Mapping[str, Path]
-"""Files (.png) by caption."""
+"""Figure files (.png), keyed by caption."""
 
 PARTS = ("fin", "surrogate", "learning", "experiment", "moving")
 """Sections of the report that can have figures."""
@@ -76,8 +77,8 @@ def write_report(
 
 
 def _number(value: float) -> str:
-    """Format with three significant digits, as in the paper, and without an exponent for common
-    magnitudes."""
+    """Format a number with three significant digits, as in the paper, and without an exponent for
+    common magnitudes."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 

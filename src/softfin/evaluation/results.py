@@ -1,7 +1,7 @@
 """Types of the rows in ``evaluation.json``, ``baselines.json`` and ``results.json``.
 
-They are plain dictionaries, because they are written and read as JSON. docs/files.md explains the
-keys.
+The rows are plain dictionaries because they are written and read as JSON. docs/files.md explains
+the keys.
 """
 
 from typing import NotRequired, TypedDict
@@ -55,11 +55,11 @@ class MovingRow(MeanScores):
     """Whether every step settles; None without steps."""
     longest_settling_s: float | None
     settling_s: list[list[float | None]]
-    """Settling times by repetition and by step of the reference."""
+    """Settling times by repetition and by reference step [s]; None for never."""
 
 
 class RangeErrors(TypedDict):
-    """Errors (x, y) at many references, with one repetition [N]."""
+    """Errors (x, y) at many references with one repetition [N]."""
 
     references_n: list[list[float]]
     errors_n: list[list[float]]
@@ -74,7 +74,8 @@ class EvaluationSummary(TypedDict):
     kind: str
     format: int
     conditions: JsonObject
-    """Duration, repetitions and rates, plus entries by the caller, e.g. controller and plant."""
+    """Duration, repetitions and rates, plus entries added by the caller, e.g. controller and
+    plant."""
     references: list[ReferenceScores]
     mean: MeanScores
     warning: str | None

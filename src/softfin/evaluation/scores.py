@@ -1,21 +1,21 @@
-"""Compute the scores of Table II and of step responses from a recording.
+"""Computes the scores of Table II and of step responses from a recording.
 
 The force f is the true force if the plant computes it, as the virtual tank does. A controller with
-force feedback must not be scored by the sensor reading: feedback drives that reading to the
-reference, so drift and mounting errors of the sensor would be invisible. A real rig has only the
-reading.
+force feedback must not be scored by the sensor reading: feedback drives the reading to the
+reference, so sensor drift and mounting errors would be invisible. For a real rig, only the reading
+is available.
 
-Let m be the moving average of f over the last 200 samples, if all of them are recorded, and r
-the reference, averaged over the same samples if it moves (`softfin.core.window`):
+Let m be the moving average of f over the last 200 samples, if all of them are recorded, and let r
+be the reference, averaged over the same samples if it moves (`softfin.core.window`):
 
     error = mean |m - r|
     std = standard deviation of m
     raw std = standard deviation of f
 
-Settling times are those of m. For a force that jumps instantly, m settles after at most 2.0 s.
+Settling times are computed from m. After a force that jumps instantly, m settles within 2.0 s.
 
-`data_distance` shows how far scores in a surrogate can be trusted: it runs an ensemble over the
-recorded commands again, and returns the distance from its training data.
+`data_distance` indicates whether scores in a surrogate can be trusted: it reruns an ensemble on the
+recorded commands and returns the distance from the training data.
 """
 
 import math
@@ -39,12 +39,12 @@ from softfin.evaluation.results import AxisScores, MeanScores
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
-"""Shaft travel in the second half of an experiment below which the fin does not move [rad/s]; a
-working controller exceeds 1."""
+"""Shaft travel in the second half of an experiment below which the fin is treated as at rest
+[rad/s]; a working controller exceeds 1."""
 
 SETTLED_N = 0.2
 """Distance from the reference, on both axes, within which the force of the paper's fin is settled
-[N]; for other fins it is multiplied by their size."""
+[N]; for other fins, it is multiplied by the fin size."""
 
 
 def settled_band(reachable: Reachable | None) -> float:
@@ -54,7 +54,7 @@ def settled_band(reachable: Reachable | None) -> float:
 
 MAX_OUTSIDE_FRACTION = 0.01
 """Fraction of samples outside the training data above which a warning is issued: ten times the
-fraction in the training data themselves."""
+fraction for the training data themselves."""
 
 ForceSeries = Float[np.ndarray, "ticks 2"]
 
@@ -73,9 +73,9 @@ class Scores(NamedTuple):
     """Path length of the shaft per second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
     """Path length of the shaft per second in the second half [rad/s]; below `STILL_RAD_S`, the fin
-    does not move."""
+    is treated as at rest."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
-    """Error computed from the reading [N]; None if `error` already is that error."""
+    """Error computed from the reading [N]; None if `error` is already computed from the reading."""
 
 
 def score(recording: ExperimentRecording) -> Scores:
@@ -84,7 +84,8 @@ def score(recording: ExperimentRecording) -> Scores:
     window = clock.window_ticks
     force = np.asarray(recording.force, np.float64)
     asked = np.asarray(recording.reference, np.float64)
-    # (references, 1, 1, 2), or (references, 1, windows, 2) if it moves; broadcast over the seeds.
+    # (references, 1, 1, 2), or (references, 1, windows, 2) for moving references; broadcast over
+    # the seeds.
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked, window))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
     # The second half starts with a cycle of the action clock.
@@ -106,7 +107,7 @@ def score(recording: ExperimentRecording) -> Scores:
 
 
 def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
-    """Return the scores of one reference, or their means over all, for JSON."""
+    """Return the scores of one reference, or their means over all references, for JSON."""
     chosen: Scores = jax.tree.map(
         lambda field: field.mean(axis=0) if index is None else field[index], scores
     )
@@ -130,8 +131,8 @@ def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
 
 
 def scores_together(each: Sequence[Scores]) -> Scores:
-    """Combine scores of the same references into one in which each becomes a repetition: its mean
-    over its own repetitions, so that all have equal weight."""
+    """Combine scores for the same references. Each becomes one repetition, averaged over its own
+    repetitions, so that all have equal weight."""
     together: Scores = jax.tree.map(
         lambda *fields: np.stack([field.mean(axis=1) for field in fields], axis=1), *each
     )
@@ -148,7 +149,7 @@ def travel(
 ) -> Float[np.ndarray, "*batch"]:
     """Return the path length per second [rad/s].
 
-    The angle is sampled at the ends of actions only, so that sensor noise does not add up.
+    The angle is sampled only at the ends of actions, so that sensor noise does not accumulate.
     """
     ticks = angle.shape[-1]
     ends = np.cumsum(clock.action_ticks(clock.actions_within(ticks))) - 1
@@ -159,10 +160,10 @@ def travel(
 
 
 def list_steps(reference: ForceSeries, window: int = PAPER_WINDOW) -> list[tuple[int, int]]:
-    """Return (first tick, one past the last tick) after each step between two forces that are both
-    held for at least a window [ticks]."""
-    # Both forces must be held for a full window, so that the moving average starts and ends at the
-    # references themselves.
+    """Return (first tick, one past the last tick) of the force after each step between two forces
+    that are both held for at least one window."""
+    # Both forces must be held for a full window so that the moving average of the reference is
+    # constant before and after the step.
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
     edges = [0, *changes.tolist(), len(reference)]
     held = [(start, stop) for start, stop in pairwise(edges) if stop - start >= window]
@@ -176,16 +177,16 @@ def settling_times(
     settled_n: float = SETTLED_N,
     window: int = PAPER_WINDOW,
 ) -> Float[np.ndarray, " steps"]:
-    """Return for every step of a reference the time until the moving average of the force stays
-    within `settled_n` of it on both axes, up to the next change or the end [s]; NaN if it never
-    does."""
+    """Return the settling time of every step of a reference [s]: the time until the moving average
+    of the force stays within `settled_n` of the reference on both axes, until the next change or
+    the end. NaN if it never does."""
     average = moving_average(force, window)
     times = []
     for first, stop in list_steps(reference, window):
-        # Window k ends with tick k + window - 1, so window `first - window + 1` is the first that
-        # contains the new force. It exists, because the previous force was held for a full window.
+        # Window k ends with tick k + window - 1, so window `first - window + 1` is the first to
+        # contain the new force. It exists because the previous force was held for a full window.
         after = average[first - window + 1 : stop - window + 1]
-        # after[k] ends k + 1 ticks after the step; the first settled one follows the last one
+        # after[k] ends k + 1 ticks after the step; the first settled window follows the last window
         # outside.
         outside = np.flatnonzero(np.abs(after - reference[first]).max(axis=1) > settled_n)
         settled = 0 if not outside.size else int(outside[-1]) + 2
@@ -196,8 +197,9 @@ def settling_times(
 def data_distance(
     plant: EvaluationTarget, recording: ExperimentRecording
 ) -> Float[np.ndarray, "references ticks"] | None:
-    """Return the distance of the motion from a surrogate's training data, for every reference in
-    its first repetition: 1 at the edge of the data. None for plants that do not estimate it."""
+    """Return the distance of the motion from the training data of a surrogate, for the first
+    repetition of every reference: 1 at the edge of the data. None for plants that do not estimate
+    it."""
     if not isinstance(plant, EnsemblePlant):
         return None
     angle, velocity = recording.command
@@ -216,8 +218,8 @@ def _run_ensemble(plant: EnsemblePlant, commands: Command) -> Float[Array, "refe
 
 
 def outside_fraction(distance: Float[np.ndarray, "*references ticks"]) -> float:
-    """Return the fraction of the samples outside the training data; of the training data
-    themselves, 1 sample in 1000 is outside."""
+    """Return the fraction of the samples outside the training data; 1 in 1000 training samples is
+    itself outside."""
     return float((distance > 1).mean())
 
 

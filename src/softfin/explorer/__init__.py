@@ -1,1 +1,1 @@
-"""The page to try controllers, as one HTML file."""
+"""The page for trying controllers, as one HTML file."""

@@ -1,6 +1,6 @@
 """Plants and controllers as plain data for the page: weights in base64, configurations as JSON.
 
-From these data, the page's scripts repeat the computations of `softfin.tank`,
+From these data, the page scripts repeat the computations of `softfin.tank`,
 `softfin.surrogate.streaming` and `softfin.control`.
 """
 
@@ -30,10 +30,10 @@ from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
 
 HAND_STROKE_RAD = 0.5
-"""First stroke of the user's hand to each side of the angle [rad]; it swims forward."""
+"""Initial amplitude of a stroke by the user's hand [rad]; the stroke produces forward thrust."""
 
 COLD_C = 5.0
-"""Water temperature of the page's cold-water option [degrees Celsius]."""
+"""Water temperature of the cold-water option on the page [degrees Celsius]."""
 
 
 def encode_arrays(array: AnyArray) -> JsonObject:
@@ -41,7 +41,7 @@ def encode_arrays(array: AnyArray) -> JsonObject:
     values = np.asarray(array, np.float32)
     return {
         "shape": list(values.shape),
-        # Little-endian on every machine, as the page's script expects.
+        # Little-endian on every machine, as expected by the page script.
         "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
     }
 
@@ -85,8 +85,8 @@ def tank_data(tank: Tank) -> JsonObject:
 
 
 def outline(tank: Tank) -> JsonObject:
-    """Return the shape of a tank's fin: its length [m], and the thickness [m] of its plates, mount
-    first."""
+    """Return the shape of the fin in a tank: the length [m], and the thickness of the plates [m],
+    mount first."""
     return {
         "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
         "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),

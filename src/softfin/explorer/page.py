@@ -15,10 +15,10 @@ from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
 SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "hand", "loop")
-"""Scripts that compute, in order; they do not need a page."""
+"""Scripts for computation, in order; they do not need a page."""
 
 DRAWN = ("drawing", "page")
-"""Scripts that draw and handle input."""
+"""Scripts for drawing and input."""
 
 
 def read_script(*names: str) -> str:
@@ -33,7 +33,7 @@ def write_explorer_page(
     controllers: Sequence[Mapping[str, object]],
     plants: Sequence[Mapping[str, object]],
 ) -> None:
-    """Write the page. It needs no network, so that it can be opened with a double click."""
+    """Write the page. It needs no network connection and can be opened with a double click."""
     template = (
         importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
     )
@@ -52,7 +52,7 @@ def write_explorer_page(
             grid=any(controller["kind"] == "grid" for controller in controllers),
             cold_c=f"{COLD_C:g}",
             window_s=f"{clock.window_ticks * TICK_S:g}",
-            # Escaped, so that no text in the data can close the script element.
+            # Escaped so that no text in the data can close the script element.
             contents=Markup(contents.replace("<", "\\u003c")),
             script=Markup(
                 with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')

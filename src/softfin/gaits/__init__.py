@@ -1,1 +1,1 @@
-"""Gaits (periodic motions), their mean forces, and the region of forces that a fin can produce."""
+"""Gaits (periodic motions), their mean forces, and the region of reachable forces."""

@@ -1,5 +1,4 @@
-"""The figure of a force map: the mean forces that a fin can produce, and the Sobolev terms of their
-gaits."""
+"""The figure of a force map: reachable mean forces and the Sobolev terms of their gaits."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,13 +11,13 @@ from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, GREY, new_figure, styled
 
 MARGIN_N = 0.2
-"""Margin around the nodes [N], for the paper's fin."""
+"""Margin around the nodes for the paper's fin [N]."""
 
 
 HALO = [withStroke(linewidth=3, foreground="white")]
 
 MIN_RANGE_N = 0.01
-"""Minimum range of the drawn Sobolev terms, for the paper's fin [N]."""
+"""Minimum range of the plotted Sobolev terms for the paper's fin [N]."""
 
 
 def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
@@ -31,7 +30,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
     cost = gaits.smoothness.sum(axis=-1)
     held = gaits.force_error() <= tolerance_n
     outline = np.concatenate([reachable.corners(), reachable.corners()[:1]])
-    # Round numbers as levels; if all values are equal, the range is widened.
+    # The levels are round numbers; if all values are equal, the range is widened.
     levels = MaxNLocator(12).tick_values(
         float(cost.min()), max(float(cost.max()), float(cost.min()) + MIN_RANGE_N * reachable.size)
     )
@@ -59,7 +58,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
                 markersize=4,
                 label="no gait found for this force",
             )
-        # Fins of other sizes may produce none of them.
+        # Fins of different sizes may reach none of the references.
         if reachable.contains(PAPER_REFERENCES).any():
             axes.plot(
                 *np.transpose(PAPER_REFERENCES),

@@ -1,5 +1,4 @@
-"""The force map of a fin: the mean forces that it can produce, with their gaits and Sobolev
-terms."""
+"""The force map of a fin: its reachable mean forces with their gaits and Sobolev terms."""
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -16,40 +15,39 @@ from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient,
 from softfin.gaits.usable import check_usable
 
 TOLERANCE_N = 0.1
-"""Force error up to which a force counts as reachable, for the paper's fin [N]."""
+"""Maximum force error at which a force is treated as reachable, for the paper's fin [N]."""
 
 SURVEY_SHARE = 0.3
-"""Part of the progress bar for the survey."""
+"""Share of the progress bar used for the survey."""
 
 RAY_PARTS = 24
-"""Number of points along the ray to each corner at which the error is interpolated."""
+"""Number of points along the ray to each corner of the region at which the error is
+interpolated."""
 
 NOT_STAR = 0.05
 """Fraction of nodes on the wrong side of the edge above which a region is not considered
-star-shaped. A few nodes are always too close to the edge to tell."""
+star-shaped. A few nodes are always too close to the edge to be classified."""
 
 
 class MapConfig(Configuration):
     """Configuration of a force map."""
 
     box: Cell | None = None
-    """Range of the mapped forces [N]; null for the bounding box of all forces found by the
-    survey."""
+    """Range of the mapped forces [N]; null for the bounding box of all surveyed forces."""
     nodes: int = Field(default=120, ge=4)
-    """Approximate number of nodes of the lattice before it is halved (`gaits.halvings`)."""
+    """Approximate number of lattice nodes before the spacing is halved (`gaits.halvings`)."""
     spacing_n: PositiveFloat | None = None
-    """Maximum distance between nodes of the lattice [N] before it is halved; null to derive it from
+    """Maximum spacing of the lattice nodes before it is halved [N]; null to derive it from
     `nodes`."""
     clock: ActionClock = PAPER_CLOCK
-    """Clock of the actions; a gait lasts one of its windows."""
+    """Clock of the actions; a gait lasts one window of this clock."""
     survey: SurveyConfig = SurveyConfig()
     """Configuration of the survey, which precedes the search for gaits."""
     gaits: GaitConfig = GaitConfig()
     """Configuration of the search for gaits."""
 
     def empty_table(self, surveyed: Reachable) -> GaitTable:
-        """Return an empty table over the box or the surveyed region, with the spacing before any
-        halving."""
+        """Return an empty table over the box or the surveyed region, with the initial spacing."""
         box = self.box or surveyed.bounding_box()
         width, height = np.subtract(box.high, box.low).tolist()
         # Squares of this size cover the box. A box without an area has nodes along its length.
@@ -60,7 +58,7 @@ class MapConfig(Configuration):
 
 
 def force_tolerance(reachable: Reachable) -> float:
-    """Return the maximum force error of a gait whose force counts as reachable [N]."""
+    """Return the maximum force error at which a force is treated as reachable [N]."""
     return TOLERANCE_N * reachable.size
 
 
@@ -69,10 +67,10 @@ def find_force_map(
     config: MapConfig,
     report: ReportSearch = lambda *_: None,
 ) -> ForceMap:
-    """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
+    """Survey a plant, find a gait for each node, and determine the region reached by the gaits.
 
     Raises:
-        PlantError: the plant has no gradient, or its forces cannot be controlled.
+        PlantError: If the plant has no gradient, or its forces cannot be controlled.
     """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
@@ -105,7 +103,7 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
     tolerance.
 
     A node outside the reachable region has the gait of the nearest reachable force, so its error
-    increases with the distance to the edge and can be interpolated. Outside the lattice the error
+    increases with the distance to the edge and can be interpolated. Outside the lattice, the error
     is set to 0, so the surveyed region is kept there.
     """
     radius = np.asarray(surveyed.radius)
@@ -131,7 +129,7 @@ def star_warning(force_map: ForceMap, tolerance_n: float) -> str | None:
     region = force_map.reachable
     nodes = force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
-    # A ray ends at its last accurate point, which may be one part short of the edge.
+    # A ray ends at the last point within the tolerance, which may be one part short of the edge.
     margin_n = tolerance_n + float(np.max(region.radius)) / RAY_PARTS
     clearly_outside = ~region.contains(nodes, margin_n)
     inside = region.contains(nodes)

@@ -1,8 +1,8 @@
-"""Gaits on a lattice of reference forces, with interpolation between the nodes, and the force map
-with their forces. This module does not import JAX.
+"""Gaits on a lattice of reference forces with interpolation between the nodes, and the force map.
+This module does not import JAX.
 
-A gait is a sequence of actions that fills one window of the action clock and is repeated, so that
-in steady state it causes no ripple in the window's mean; on the paper's clock these are six.
+A gait is a repeated sequence of actions that fills one window of the action clock (six actions on
+the paper's clock). In steady state, it therefore causes no ripple in the mean over the window.
 Actions ``(actions, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
 """
 
@@ -40,7 +40,8 @@ class GaitTable(NamedTuple):
         nodes: tuple[int, int],
         gait_actions: int = PAPER_CLOCK.window_actions,
     ) -> "GaitTable":
-        """Return a table with all actions set to 0; `nodes` in x and y are at least 2."""
+        """Return a table with all actions set to 0; there must be at least 2 nodes in x and in
+        y."""
         actions = np.zeros((*nodes, gait_actions, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
@@ -90,15 +91,15 @@ class GaitTable(NamedTuple):
         )
 
     def references(self) -> Float[np.ndarray, "x y 2"]:
-        """Return the references of the nodes [N]."""
+        """Return the references at the nodes [N]."""
         low = np.asarray(self.low, float)
         high = np.asarray(self.high, float)
         axes = map(np.linspace, low, high, self.nodes)
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
 
     def _place(self, ops: Operations, force: Number, axis: int) -> tuple[Number, Number]:
-        """Return the distance of a force from the node below it along one axis, in units of the
-        spacing, and the index of that node."""
+        """Return the distance of a force from the node below it along one axis (in units of the
+        spacing) and the index of this node."""
         last = self.actions.shape[axis] - 1
         # The box of a single reference has no width, and all its nodes are equal; 1e-9 avoids a
         # division by 0.
@@ -109,7 +110,7 @@ class GaitTable(NamedTuple):
 
 
 class GaitSearchResult(NamedTuple):
-    """A table of gaits, and their steady-state forces in the plant."""
+    """A table of gaits and their steady-state forces in the plant."""
 
     table: GaitTable
     force: Float[np.ndarray, "x y 2"]
@@ -123,7 +124,7 @@ class GaitSearchResult(NamedTuple):
 
 
 class ForceMap(NamedTuple):
-    """Mean forces that a fin can produce, and their gaits."""
+    """Reachable mean forces and their gaits."""
 
     gaits: GaitSearchResult
     reachable: Reachable

@@ -1,5 +1,5 @@
-"""Regions of mean forces: the cells for which controllers are trained, and the region that a fin
-can reach.
+"""Regions of mean forces: the cells for which controllers are trained, and the reachable region of
+a fin.
 
 The reachable region is star-shaped about a force inside it. It is stored as radii in equally spaced
 directions, so one division determines whether a force is inside. All functions work on NumPy
@@ -30,28 +30,29 @@ PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (
 """Reference forces of the paper's Table II [N]."""
 
 EDGE_FRACTION = 4e-4
-"""Distance outside a region within which forces are still treated as inside, as a fraction of its
-largest radius; corners are rounded in files."""
+"""Distance outside a region within which forces are treated as inside, as a fraction of the largest
+radius; needed because corners are rounded in files."""
 
 PAPER_REACH_N = 2.4
-"""Reach of the paper's fin in the virtual tank [N], as `Reachable.reach_n`. Tolerances, scales and
-weights were tuned on this fin. For other fins they are multiplied by `Reachable.size`."""
+"""Reach of the paper's fin in the virtual tank [N], defined as in `Reachable.reach_n`. Tolerances,
+scales and weights were tuned on this fin; for other fins, they are multiplied by
+`Reachable.size`."""
 
 PAPER_PEAK_N = 13.0
-"""Peak of the force of the paper's fin on one axis under random commands, in the virtual tank [N].
-At a rig, where the reach is unknown before the first logs, the peak determines the fin size."""
+"""Peak force of the paper's fin on one axis under random commands in the virtual tank [N]. On a
+rig, the reach is unknown before the first logs, so the peak determines the fin size."""
 
 MIN_REACH_SHARE = 0.25
 """Minimum reach, as a fraction of the largest radius of a region. A fin whose forces lie on a line
 has a region without area, but its tolerances must still suit the length of the line."""
 
 DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
-"""Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
-numbers and do not depend on a reach's last digits."""
+"""Fin sizes within a decade. Sizes are rounded to these values, so that scaled tolerances are round
+numbers and do not depend on the last digits of a reach."""
 
 OUTLINE_POINTS = 8192
-"""Number of points by which the edge of a region or cell is represented in the search for the
-nearest force: about 2 mN apart for the paper's fin."""
+"""Number of points that represent the edge of a region or cell in the search for the nearest force;
+for the paper's fin, they are about 2 mN apart."""
 
 
 class Cell(Configuration):
@@ -85,7 +86,7 @@ class Cell(Configuration):
         return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float)
 
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
-        """Return the centres of `count` x `count` equal parts of the cell."""
+        """Divide the cell into `count` x `count` equal parts and return their centres."""
         x0, y0 = self.low
         x1, y1 = self.high
         steps = [(i + 0.5) / count for i in range(count)]
@@ -112,14 +113,14 @@ def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
 
 
 def force_decimals(largest_n: float | int) -> int:
-    """Return the number of decimals with which to show forces up to a size [N]: two from 1 to 10 N,
+    """Return the number of decimals for displaying forces up to a size [N]: two from 1 to 10 N,
     more for smaller forces."""
     return max(2 - math.floor(math.log10(largest_n)), 0) if largest_n > 0 else 2
 
 
 def round_size(ratio: float) -> float:
-    """Round a force relative to that of the paper's fin to 1, 2 or 5 times a power of ten [-]; 1 if
-    it is 0."""
+    """Round a force divided by the force of the paper's fin to 1, 2 or 5 times a power of ten [-];
+    returns 1 for 0."""
     if ratio <= 0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(ratio))
@@ -142,7 +143,7 @@ def bounding_box(cells: Sequence[Cell]) -> Cell:
 
 
 class Reachable(NamedTuple):
-    """Mean forces that a fin can produce, as a star-shaped polygon."""
+    """Reachable mean forces of a fin, as a star-shaped polygon."""
 
     centre: Float[AnyArray, "2"]
     """Force (x, y) about which the polygon is star-shaped [N]."""
@@ -155,7 +156,7 @@ class Reachable(NamedTuple):
         """Build a region from the result of `to_dict`.
 
         Raises:
-            KeyError, TypeError, ValueError: the data do not describe a region.
+            KeyError, TypeError, ValueError: If the data do not describe a region.
         """
         if not isinstance(description, dict):
             raise TypeError(
@@ -164,7 +165,7 @@ class Reachable(NamedTuple):
         centre = np.asarray(description["centre_n"], np.float32)
         radius = np.asarray(description["radius_n"], np.float32)
         is_region = centre.shape == (2,) and radius.ndim == 1 and len(radius) >= 3
-        # Negated, so that NaN is refused as well.
+        # Negated so that NaN is also refused.
         if not is_region or not (np.isfinite([*centre, *radius]).all() and (radius >= 0).all()):
             raise ValueError(
                 "reachable: centre_n must be 2 finite numbers, and radius_n at least 3, none of "
@@ -173,7 +174,8 @@ class Reachable(NamedTuple):
         return cls(centre, radius)
 
     def to_dict(self) -> JsonObject:
-        """Return the centre and the radii [N] for JSON, with six digits of the largest radius."""
+        """Return the centre and the radii [N] for JSON, rounded to six digits of the largest
+        radius."""
         decimals = force_decimals(float(np.max(self.radius))) + 3
         return {
             "centre_n": [round(float(x), decimals) for x in self.centre],
@@ -187,14 +189,14 @@ class Reachable(NamedTuple):
         )
 
     def project(self, force: Any) -> Any:
-        """Return each force if it is inside, otherwise the intersection of the edge with the line
-        to the centre; works on NumPy and JAX arrays."""
+        """Return each force if it is inside, otherwise the intersection of the edge and the line
+        from the force to the centre; accepts NumPy and JAX arrays."""
         ops = select_operations(force, self.radius)
         count = self.radius.shape[-1]
         xp = ops.xp
         ways = ops.constant(directions(count))
         radius = ops.constant(self.radius)
-        # Transposed, so that the coordinates of a single force are numbers, which are faster than
+        # Transposed so that the coordinates of a single force are numbers, which are faster than
         # arrays in NumPy.
         along = xp.asarray(force).T
         x = along[0] - self.centre[0]
@@ -216,8 +218,8 @@ class Reachable(NamedTuple):
         return xp.where(reach >= 1, along, edge).T
 
     def contains(self, force: Any, tolerance_n: float | None = None) -> Bool[np.ndarray, "*forces"]:
-        """Return whether each force is inside, or at most `tolerance_n` from its projection (by
-        default `EDGE_FRACTION` of the largest radius)."""
+        """Return whether each force is inside, or at most `tolerance_n` from its projection
+        (default: `EDGE_FRACTION` of the largest radius)."""
         force = np.asarray(force, float)
         if tolerance_n is None:
             tolerance_n = EDGE_FRACTION * float(np.max(self.radius))
@@ -231,10 +233,11 @@ class Reachable(NamedTuple):
         return np.where(inside[..., None], at, _choose_nearest(_outline(self.corners()), at))
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
-        """Return for each force the nearest force inside both the region and a cell, to within the
-        spacing of `OUTLINE_POINTS` points on their edges; NaN if there is none."""
+        """For each force, return the nearest force that is inside both the region and a cell, or
+        NaN if there is none. The error is up to the spacing of `OUTLINE_POINTS` points on the
+        edges."""
         inside = self.contains(forces) & _in_cells(cells, forces)
-        # For a force outside, the nearest one is on the edge of the region or of a cell.
+        # If a force is outside, the nearest force is on the edge of the region or of a cell.
         candidates = np.concatenate(
             [_outline(self.corners()), *(_outline(cell.corners()) for cell in cells)]
         )
@@ -252,15 +255,15 @@ class Reachable(NamedTuple):
 
     @property
     def reach_n(self) -> float:
-        """Reach of the fin [N]: the radius of the circle with the area of the region, and at least
-        `MIN_REACH_SHARE` of its largest radius."""
+        """Reach of the fin [N]: the radius of a circle with the same area as the region, but at
+        least `MIN_REACH_SHARE` of the largest radius."""
         circle_n = float(np.sqrt(self.area() / np.pi))
         return max(circle_n, MIN_REACH_SHARE * float(np.max(self.radius)))
 
     @property
     def size(self) -> float:
-        """Reach of the fin divided by that of the paper's fin, rounded to 1, 2 or 5 times a power
-        of ten [-]; 1 for a fin that produces no force."""
+        """Reach of the fin relative to the paper's fin, rounded to 1, 2 or 5 times a power of ten
+        [-]; 1 for a fin that produces no force."""
         return round_size(self.reach_n / PAPER_REACH_N)
 
     def bounding_box(self) -> Cell:
@@ -291,8 +294,8 @@ def _in_cells(cells: Sequence[Cell], forces: Forces) -> Bool[np.ndarray, "*force
 
 
 def _choose_nearest(points: Float[np.ndarray, "points 2"], forces: Forces) -> Forces:
-    """Return the nearest of the points to each force."""
-    # One force after another, which limits memory.
+    """Return the point nearest to each force."""
+    # One force at a time, to limit memory use.
     nearest = [
         points[((points - force) ** 2).sum(axis=1).argmin()] for force in forces.reshape(-1, 2)
     ]

@@ -1,15 +1,14 @@
-"""Finds gaits for all nodes of a lattice of reference forces, in one compiled program.
+"""Finds gaits for all nodes of a lattice of reference forces in one compiled program.
 
-The mean force and the Sobolev term of a gait are smooth functions of its twelve numbers, and the
-plant provides their derivatives. Two of the twelve directions change the force: Gauss-Newton steps
-along them move the force to the reference. Steps along the other ten directions reduce the Sobolev
-term and keep the gait similar to those of its neighbours, so that gaits can be interpolated. This
-is the null-space projection of redundant manipulators (Siciliano and Khatib, Handbook of Robotics,
-Sec. 10.3).
+The mean force and the Sobolev term of a gait are smooth functions of twelve numbers, and the plant
+provides their derivatives. Two of the twelve directions change the force: Gauss-Newton steps along
+them move the force to the reference. Steps along the other ten directions reduce the Sobolev term
+and keep neighbouring gaits similar, so that gaits can be interpolated. This is the null-space
+projection of redundant manipulators (Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
 
-All gaits start from one family of strokes, so that neighbours are similar. Finally the spacing is
-halved: new nodes start from the interpolated gaits of their neighbours and take the shortest steps
-to their own references, which removes the interpolation error.
+All gaits start from one family of strokes, so that neighbours are similar. Finally, the spacing is
+halved: new nodes start from interpolated gaits and take the shortest steps to their references,
+which removes the interpolation error.
 """
 
 from collections.abc import Callable
@@ -53,27 +52,27 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest, more if they are below 2 s. Only
-    the last window is evaluated, when the fin and its wake are in a steady state."""
+    """Number of windows for which a gait is repeated from rest; more if windows are shorter than 2
+    s. Only the last window is evaluated, when the fin and its wake are in a steady state."""
     steps: PositiveInt = 8
-    """Number of Gauss-Newton steps; the last `EXACT` of them reduce only the force error."""
+    """Number of Gauss-Newton steps; the last `EXACT` steps reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
     likeness: NonNegativeFloat = 1.0
-    """Weight of the squared distance to the mean of the neighbours."""
+    """Weight of the squared distance from the mean of the neighbours."""
     halvings: NonNegativeInt = 1
-    """Number of times the spacing of the lattice is halved after these steps."""
+    """Number of times the lattice spacing is halved after these steps."""
 
 
 EXACT = 2
-"""Number of final steps that reduce only the force error; also the number of steps of nodes added
-by halving."""
+"""Number of final steps that reduce only the force error, and of steps for nodes added by
+halving."""
 
 STUCK_N = 0.05
 """Force error above which a node restarts from a neighbour, for the paper's fin [N].
 
-The search divides all forces by the size of the fin (`Reachable.size`), so newtons in this module
-are those of the paper's fin.
+The search divides all forces by the size of the fin (`Reachable.size`), so constants in newtons
+apply to the paper's fin.
 """
 
 FORCE_STEP = 0.6
@@ -86,19 +85,19 @@ SWEEPS = 10
 """Number of rounds in which the initial gaits are chosen."""
 
 UNLIKE_N = 0.5
-"""Cost of an initial gait per rms difference from its neighbours in the atanh of the actions
-[N]."""
+"""Cost of an initial gait per unit of RMS difference from its neighbours in the atanh of the
+actions [N]."""
 
 LARGE_N = 0.1
-"""Cost of the largest amplitude in the first round [N]. Some forces can be produced with small and
-with large strokes, and small ones are preferred."""
+"""Cost of the largest amplitude in the first round [N]. Some forces can be produced with both small
+and large strokes; small strokes are preferred."""
 
 FINER = 5
-"""Number of strokes per step of the survey's centres and amplitudes; their forces are
+"""Number of strokes per step between the surveyed centres and amplitudes; their forces are
 interpolated."""
 
 ENOUGH_N = 0.02
-"""Force error that is not reduced further before the final steps [N]."""
+"""Force error below which the error is not reduced before the final steps [N]."""
 
 
 def find_gaits(
@@ -110,7 +109,7 @@ def find_gaits(
 ) -> GaitSearchResult:
     """Find a gait for each node of an empty table, starting from a survey of the same plant.
 
-    The returned table has a finer spacing, halved `config.halvings` times. A node outside the
+    The spacing of the returned table is halved `config.halvings` times. A node outside the
     reachable region gets the gait of the nearest reachable force.
     """
     total = config.steps + EXACT * config.halvings
@@ -135,8 +134,8 @@ def find_gaits(
 def _simulate(
     plant: Plant, survey: Survey, pre_tanh: PreTanh, config: GaitConfig
 ) -> GaitSensitivity:
-    """Simulate gaits; their forces, and the force gradients, are divided by the fin size."""
-    # The key is not a constant of the module: creating it starts JAX, which an import must not do.
+    """Simulate gaits; forces and force gradients are divided by the fin size."""
+    # The key is not a module constant: creating it starts JAX, which an import must not do.
     nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"), survey.clock)
     size = np.float32(survey.reachable.size)
     return nodes._replace(
@@ -172,7 +171,7 @@ def _search(
     scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
-        # Only every fourth step, so that nodes can improve in between.
+        # Restart only every fourth step so that nodes can improve in between.
         if step % 4 == 3 and not exact:
             nodes, scale = _restarted(nodes, target, scale, shape)
         moved = _stepped(nodes, target, scale, shape, config, exact)
@@ -232,7 +231,7 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
         )
         interpolated = by_stroke(places)
         pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
-        # Distance of each stroke's force from each target, (nodes, strokes).
+        # Distance between the force of each stroke and each target, (nodes, strokes).
         apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
         nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
         for _ in range(SWEEPS):
@@ -287,7 +286,7 @@ def _better(
     scale: StepScales,
     smoothness: float,
 ) -> tuple[GaitSensitivity, StepScales]:
-    """Keep the better of each node and its trial.
+    """For each node, keep the better of the current gait and the trial.
 
     The next step of a node is longer if the trial was better, otherwise shorter.
     """
@@ -307,7 +306,7 @@ def _better(
 def _restarted(
     nodes: GaitSensitivity, target: NodeForces, scale: StepScales, shape: LatticeShape
 ) -> tuple[GaitSensitivity, StepScales]:
-    """Replace nodes that are stuck by their best neighbour, if that neighbour is not stuck."""
+    """Replace each stuck node by its best neighbour unless this neighbour is also stuck."""
     error = _force_errors(nodes, target)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
     beside = np.stack(

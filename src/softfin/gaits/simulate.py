@@ -1,8 +1,8 @@
 """Simulates gaits in a plant (mean forces, Sobolev terms and their gradients), and surveys the
-forces that a plant can produce.
+reachable forces of a plant.
 
-The survey simulates a grid of gaits, then pushes the boundary of their forces outwards by gradient
-ascent.
+The survey simulates a grid of gaits and then pushes the boundary of their forces outwards by
+gradient ascent.
 """
 
 import math
@@ -39,13 +39,13 @@ MAX_SEARCHED_ACTION = 0.97
 """Maximum magnitude of initial actions; steps are taken in their atanh, which is infinite at 1."""
 
 SIDE_BY_SIDE = 32
-"""Number of gaits per call of the program that computes gradients; the size is fixed, so that all
-callers share the compiled program."""
+"""Number of gaits per call of the program that computes gradients; fixed so that all callers share
+the compiled program."""
 
 STROKE_SHAPES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
-"""Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions. The
-survey uses those that fit into the window a whole number of times: with the paper's clock, strokes
-of 0.67 s, 1 s and 2 s."""
+"""Angle of each action of a stroke, relative to the centre and divided by the amplitude. The survey
+uses the shapes that divide the window evenly: on the paper's clock, strokes of 0.67 s, 1 s and 2
+s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""
@@ -57,11 +57,12 @@ AMPLITUDES = np.linspace(0.05, 0.9, 7)
 """Amplitudes of the surveyed gaits, as actions."""
 
 NEAR = 0.2
-"""Distance from the middle of all forces up to which a force counts as close to it, as a fraction
+"""Maximum distance at which a force is treated as close to the middle of all forces, as a fraction
 of half the diagonal of their bounding box."""
 
 ASIDE = 2.0
-"""Cost of a force across the direction, relative to the gain of the same force along it."""
+"""Cost of a force across the search direction, relative to the gain of an equal force along the
+direction."""
 
 
 class GaitResponse(NamedTuple):
@@ -74,7 +75,7 @@ class GaitResponse(NamedTuple):
 
 
 def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
-    """Return the waveform and velocity of each gait family. Within a family, similar gaits produce
+    """Return the waveform and velocity of each gait family. Similar gaits of one family produce
     similar forces."""
     count = clock.window_actions
     waveforms = [
@@ -106,8 +107,8 @@ def steady_state_force(
 ) -> Float[Array, "ticks 2"]:
     """Return the force at each tick of a gait that is repeated from rest for `cycles` windows [N].
 
-    Windows below 2 s are repeated for at least the same time as windows of 2 s, because a shorter
-    window does not make the wake settle sooner.
+    Windows shorter than 2 s are repeated for at least as long as windows of 2 s, because the time
+    until the wake settles does not depend on the window.
     """
     windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
     actions = jnp.tile(jnp.asarray(gait), (windows, 1))
@@ -136,7 +137,7 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits actions 2"]) -> PreTanh:
 def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
 ) -> GaitSensitivity:
-    """Simulate gaits and differentiate their forces."""
+    """Simulate gaits; also return the gradients of their forces."""
 
     def simulate_batch(batch: PreTanh) -> GaitSensitivity:
         sensitivity: GaitSensitivity = jax.tree.map(
@@ -150,8 +151,8 @@ def gait_sensitivity(
 
 
 def _batches(rows: np.ndarray, size: int) -> np.ndarray:
-    """Split rows into batches of equal size, which share a compiled program; the last batch is
-    padded with the first rows."""
+    """Split rows into batches of equal size, so that they share a compiled program; the last batch
+    is padded with the first rows."""
     return np.resize(rows, (-(-len(rows) // size), size, *rows.shape[1:]))
 
 
@@ -168,7 +169,7 @@ def _respond(
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
     def each(pre_tanh: Float[Array, "values"]) -> GaitSensitivity:
-        # Reverse mode, because there are 3 outputs but 12 inputs or more.
+        # Reverse mode, because there are 3 outputs and at least 12 inputs.
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
         slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
         return GaitSensitivity(pre_tanh, value, slope, smoothness)
@@ -179,10 +180,10 @@ def _respond(
 
 def missing_gradient(plant: Plant) -> str | None:
     """Return the reason why the force of a plant has no gradient with respect to its commands; None
-    if it has a gradient.
+    if there is a gradient.
 
     Raises:
-        PlantError: the plant itself fails.
+        PlantError: If the plant itself fails.
     """
     strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
     try:
@@ -202,19 +203,19 @@ class SurveyConfig(Configuration):
     """Configuration of the survey of reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest, more if they are below 2 s; only
-    the last window is evaluated."""
+    """Number of windows for which a gait is repeated from rest; more if windows are shorter than 2
+    s. Only the last window is evaluated."""
     batch: PositiveInt = 128
     """Number of gaits simulated together."""
     directions: int = Field(default=32, ge=8)
     """Number of corners of the region."""
     pushes: int = Field(default=8, ge=0)
-    """Number of gradient steps that push each corner outwards; 0 keeps the farthest force of the
+    """Number of gradient steps that push each corner outwards; 0 keeps the farthest force in the
     grid."""
 
 
 class Survey(NamedTuple):
-    """Forces of the simulated gaits, and the region that a fin can reach."""
+    """Forces of the simulated gaits, and the reachable region of the fin."""
 
     force: Float[np.ndarray, "families centres amplitudes 2"]
     """Mean force over a window [N]."""
@@ -272,23 +273,23 @@ def _pushed(
     config: SurveyConfig,
     clock: ActionClock,
 ) -> Reachable:
-    """Push the farthest gait in each direction further outwards, and return the region of all
-    forces.
+    """Push the force of the farthest gait in each direction further outwards, and return the region
+    of all forces.
 
-    Directions start from the middle of all forces. Each step ascends the gradient of the distance
+    Directions start at the middle of all forces. Each step follows the gradient of the distance
     along the direction, in the atanh of the actions. The length of a step does not depend on the
     magnitude of the gradient.
     """
     centre = _middle(force)
     outward = directions(config.directions)
     if config.pushes == 0:
-        # No gradient is computed, because a plant may have none.
+        # No gradient is computed because the plant may have none.
         return _star(force, centre, outward)
     offset = force - centre
     aside = np.abs(_cross(offset[:, None], outward))
     pre_tanh = action_to_pre_tanh(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
     forces = [force]
-    # The step length decreases; the last round, of length 0, only records the final forces.
+    # The step length decreases; the last round has length 0 and only records the final forces.
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
         found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"), clock)
         forces.append(np.asarray(found.out)[:, :2])
@@ -317,14 +318,14 @@ def _star(
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross products of plane vectors: the distance of a from the line along the unit
-    vector b."""
+    """Return the cross products of plane vectors: the signed distance of a from the line along the
+    unit vector b."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
-    """Return the middle of the bounding box of all forces, or the nearest force if none is close to
-    the middle."""
+    """Return the middle of the bounding box of all forces, or the force nearest to it if no force
+    is close."""
     low = force.min(axis=0)
     high = force.max(axis=0)
     middle = (low + high) / 2

@@ -1,16 +1,18 @@
-"""Check that a fin's mean forces can be controlled: they cover an area, and exceed their noise."""
+"""Checks that the mean forces of a fin can be controlled: they must cover an area and exceed their
+noise."""
 
 from softfin.core.errors import PlantError
 from softfin.core.plant import NoisyPlant, Plant
 from softfin.gaits.reachable import Reachable
 
 LINE_WIDTH = 0.01
-"""Square root of a region's area divided by its largest radius, below which it counts as a line."""
+"""Square root of the area of a region divided by its largest radius, below which the region is
+treated as a line."""
 
 
 def check_usable(plant: Plant, reachable: Reachable) -> None:
-    """Raise PlantError if a fin produces no mean force, or only forces on a line, or if its reach
-    is below the noise of its mean force, as far as this noise is known."""
+    """Raise PlantError if a fin produces no mean force, only forces on a line, or forces below the
+    noise of the mean force (if the noise is known)."""
     if not reachable.radius.any():
         raise PlantError(
             "this plant produces no mean force, whatever its commands; check its model"

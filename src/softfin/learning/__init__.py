@@ -1,1 +1,1 @@
-"""Training: many policies learn the task in a plant together, in one compiled program."""
+"""Training of many policies in a plant, in one compiled program."""

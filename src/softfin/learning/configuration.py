@@ -1,5 +1,5 @@
-"""Configuration of LSTM-PPO training: its fields, the defaults of both designs, and the references
-for which their policies are trained (paper Sec. III-C3)."""
+"""Configuration of LSTM-PPO training: the fields, the defaults for both controller types, and the
+training references of the policies (paper Sec. III-C3)."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -19,28 +19,30 @@ from softfin.task.references import PAPER_CELLS, PAPER_RANGE, divide
 from softfin.task.task import TaskConfig
 
 GRID_SHAPE = (2, 3)
-"""Number of cells along x and y in a grid over a fin's reach: six in all, as in the paper."""
+"""Number of cells along x and y in a grid over the reach of a fin: six in total, as in the
+paper."""
 
 CHECKED_POINTS = 8
-"""Number of points along each side of a cell; the fin must reach at least one of them."""
+"""Number of checked points along each side of a cell; the fin must reach at least one of them."""
 
 
 class TrainConfig(Configuration):
     """Configuration of a training run; the defaults suit a single policy."""
 
     controller: PolicyLayout = "single"
-    """Type of controller: one policy for all references (`single`), or one per cell (`grid`)."""
+    """Type of controller: one policy for all references (`single`), or one policy per cell
+    (`grid`)."""
     range: TrainingRangeName = "reach"
-    """Range of the references: all mean forces that the fin can produce (`reach`), or the paper's
-    references, with the paper's cells for a grid (`paper`)."""
+    """Range of the references: all reachable mean forces (`reach`), or the paper's references, with
+    the paper's cells for a grid (`paper`)."""
     steps: PositiveInt = 400_000
-    """Number of actions in the plant per policy, over all its environments.
+    """Number of actions in the plant per policy, over all environments.
 
-    In a surrogate of the demo, the error in the tank is 0.11 N after 100,000 actions, 0.08 N after
-    200,000 and 0.05 N after 400,000 (mean of both axes and five seeds).
+    With the surrogate of the demo, the error in the tank is 0.11 N after 100,000 actions, 0.08 N
+    after 200,000 and 0.05 N after 400,000 (mean over both axes and five seeds).
     """
     task: TaskConfig = TaskConfig(reference_actions=45)
-    """Force-tracking task, for the paper's fin; scaled by the size of the fin."""
+    """Force-tracking task for the paper's fin; softfin scales it by the size of the fin."""
     policy: PolicyConfig = PolicyConfig()
     """Size and initial values of the networks."""
     ppo: PPOConfig = PPOConfig()
@@ -49,11 +51,11 @@ class TrainConfig(Configuration):
     """Number of evaluations of the deterministic policies, evenly spaced over the run; the policy
     with the lowest error is kept."""
     lattice: PositiveInt = 4
-    """Number of evaluation references per axis of each cell. Actions of evaluations do not count as
-    `steps`.
+    """Number of evaluation references per axis of each cell. Actions in evaluations do not count
+    towards `steps`.
 
     The defaults avoid the paper's six references, because a policy must not be selected on the
-    references for which its errors are reported.
+    references for which errors are reported.
     """
 
     @model_validator(mode="after")
@@ -96,9 +98,9 @@ TRAIN_PRESETS: Mapping[PolicyLayout, TrainConfig] = MappingProxyType(
 
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
-    """Adapt a configuration to a different clock. Numbers of actions are scaled to
-    keep their durations; the number of updates does not change. A longer window scales the
-    durations by the same factor."""
+    """Adapt a configuration to a different clock. Numbers of actions are scaled so that durations
+    stay the same; the number of updates does not change. A longer window scales the durations by
+    the same factor."""
     own = config.task.clock
     ratio = clock.rate_hz / own.rate_hz * max(1, clock.window_ticks / own.window_ticks)
     cycle = len(clock.ticks)
@@ -122,9 +124,9 @@ def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
 
 
 def training_cells(config: TrainConfig, reachable: Reachable) -> Cells:
-    """Return the cell of references of each policy, without cells that the fin cannot reach.
+    """Return the cell of each policy, without cells that the fin cannot reach.
 
-    Raises ConfigurationError if the fin can produce none of the paper's references.
+    Raises ConfigurationError if the fin can reach none of the paper's references.
     """
     box = PAPER_RANGE if config.range == "paper" else reachable.bounding_box()
     if config.controller == "single":

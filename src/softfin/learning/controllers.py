@@ -1,5 +1,5 @@
-"""Writes trained policies to controller folders, with their scores and a figure of the errors
-during training."""
+"""Writes trained policies to controller folders, with scores and a figure of the errors during
+training."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
@@ -18,11 +18,12 @@ from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save
 from softfin.storage.run_directory import TRAINING_LOG
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
-"""(steps, values) of a run, with increasing steps."""
+"""Steps and values of a run; the steps increase."""
 
 
 def learning_curve(entries: Sequence[JsonObject], *names: str) -> Curve:
-    """Return the mean of some metrics over the steps, for the entries of a log that have them."""
+    """Return the steps, and the mean of the named metrics at each step, from all log entries that
+    contain them."""
     having = [entry for entry in entries if names[0] in entry]
     steps = [entry["step"] for entry in having]
     values = [float(np.mean([entry[name] for name in names])) for entry in having]
@@ -36,7 +37,7 @@ def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figur
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
         for (name, curves), (colour, line) in zip(runs.items(), styles, strict=False):
-            # At the steps of the first run, up to the end of the shortest run.
+            # The mean is computed at the steps of the first run, up to the end of the shortest run.
             reach = min(steps[-1] for steps, _ in curves)
             steps = [step for step in curves[0][0] if step <= reach]
             values = np.stack([np.interp(steps, *curve) for curve in curves])
@@ -58,8 +59,8 @@ def save_policies(
     overwrite: bool = False,
     extra_files: Callable[[Path], None] = lambda _: None,
 ) -> None:
-    """Write the controller, completely or not at all; `learnt` describes the training data of its
-    plant, and `extra_files` writes more files into the folder."""
+    """Write the controller, completely or not at all; `learnt` describes the training data of the
+    plant, and `extra_files` writes additional files into the folder."""
     config = trained.config
     policies = trained.policies
     if config.controller == "single":
@@ -122,5 +123,5 @@ def _list_scores(trained: TrainedPolicies) -> list[JsonObject]:
 
 
 def _rounded(force: AnyArray) -> list[float]:
-    # Four significant digits, for fins of any size.
+    # Four significant digits suit fins of any size.
     return [float(f"{float(x):.4g}") for x in force]

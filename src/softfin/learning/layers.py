@@ -41,7 +41,7 @@ class LSTMCell(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTMCell":
-        """Initialize a cell with an open forget gate, so that gradients initially reach far back in
+        """Initialize a cell with an open forget gate so that gradients initially reach far back in
         time."""
         first, second = jax.random.split(key)
         kernel = weights(first, (inputs, 4 * units))
@@ -68,7 +68,8 @@ class LSTMCell(eqx.Module):
             memory = self._step(cleared(memory, first), gates)
             return memory, memory.hidden
 
-        # The product with the inputs does not depend on the memory, so it is one large product.
+        # The product with the inputs does not depend on the memory, so it is computed as one large
+        # product.
         return jax.lax.scan(step, memory, (x @ self.kernel + self.bias, is_first))[1]
 
     def _step(self, memory: PolicyMemory, gates: Float[Array, "gates"]) -> PolicyMemory:
@@ -81,7 +82,8 @@ class LSTMCell(eqx.Module):
 def weights(
     key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0
 ) -> Float[Array, "inputs outputs"]:
-    """Return uniform random weights whose outputs have the variance of the inputs times gain^2."""
+    """Return uniform random weights; the variance of the outputs is the variance of the inputs
+    times gain^2."""
     # A uniform distribution on [-b, b] has variance b^2 / 3.
     bound = gain * (3 / shape[0]) ** 0.5
     return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
@@ -93,10 +95,10 @@ def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
 
 
 class Normalisation(eqx.Module):
-    """Normalizes vectors element by element, (x - mean) / std; the identity before the first call
-    of `updated`.
+    """Normalizes vectors element by element, (x - mean) / std. Before the first call of `updated`,
+    it is the identity.
 
-    The statistics are leaves of the network and are saved with its weights, but they have no
+    The statistics are leaves of the network and are saved with the weights, but they have no
     gradient.
     """
 
@@ -122,8 +124,8 @@ class Normalisation(eqx.Module):
     def updated(self, x: NumberBatch, most: float | int = jnp.inf) -> "Normalisation":
         """Return the normalization updated by a batch of vectors.
 
-        Earlier vectors together are weighted as at most `most` vectors. Means and variances are
-        merged as in Chan, Golub and LeVeque 1979.
+        All earlier vectors together have a weight of at most `most` vectors. Means and variances
+        are merged as in Chan, Golub and LeVeque 1979.
         """
         # With n = old + new vectors and d = mean_new - mean_old:
         # mean = mean_old + d new / n

@@ -1,4 +1,4 @@
-"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic, which is used only in
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic, which is used only during
 training. Both normalize their inputs.
 
 Actions are squashed Gaussians: a = tanh(u) with u ~ N(mean(observations so far), std). The
@@ -30,7 +30,7 @@ class PolicyConfig(Configuration):
     """Size and initial values of the networks."""
 
     units: PositiveInt = 64
-    """Number of units of the LSTM; not stated in the paper."""
+    """Number of LSTM units; not stated in the paper."""
     width: PositiveInt = 64
     """Number of units of the layer after the LSTM."""
     critic_width: PositiveInt = 128
@@ -62,7 +62,7 @@ class Policy(eqx.Module):
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
             LinearLayer.create(hidden, config.units, config.width, 2**0.5),
-            # A small gain, so that the initial mean action is close to 0.
+            # The small gain keeps the initial mean action close to 0.
             LinearLayer.create(output, config.width, ACTION_SIZE, 0.01),
         )
         log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std), jnp.float32)
@@ -112,7 +112,7 @@ class Policy(eqx.Module):
         self, mean: Float[Array, "*t actions"], pre_tanh_action: Float[Array, "*t actions"]
     ) -> Float[Array, "*t"]:
         """Return the log-density of the action before the tanh. The Jacobian of the tanh cancels in
-        ratios of densities."""
+        density ratios."""
         # log N(u; mean, std) = -z^2 / 2 - log std - log(2 pi) / 2, with z = (u - mean) / std.
         z = (pre_tanh_action - mean) / jnp.exp(self.log_std)
         return -jnp.sum(0.5 * z**2 + self.log_std + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
@@ -125,7 +125,7 @@ class Policy(eqx.Module):
 class Critic(eqx.Module):
     """Estimates the value of a state from the privileged observation.
 
-    It needs no memory, and robots do not need the critic.
+    It has no memory, and robots do not need it.
     """
 
     layers: tuple[LinearLayer, LinearLayer, LinearLayer]
@@ -160,12 +160,12 @@ class Critic(eqx.Module):
         target: BatchScalars,
         most: float | int,
     ) -> "Critic":
-        """Return the critic with its normalizations updated by inputs and values; earlier values
-        together are weighted as at most `most` values.
+        """Return the critic with normalizations updated by inputs and values; all earlier values
+        together have a weight of at most `most` values.
 
         The last layer is adapted to the new normalization of the values, so that predictions stay
-        the same (van Hasselt et al. 2016). The new normalization of the inputs still changes them
-        slightly.
+        the same (van Hasselt et al. 2016). The new normalization of the inputs still changes the
+        predictions slightly.
         """
         # (x W + b) std + mean is unchanged for W' = W std / std' and
         # b' = (b std + mean - mean') / std'.

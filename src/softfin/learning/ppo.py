@@ -2,8 +2,8 @@
 updates.
 
 Inputs and values of the networks are normalized by their running mean and standard deviation. The
-evaluated policy is an average over the last updates. All functions are pure and train a single
-agent; `vmap` adds agents.
+evaluated policy is an average over the most recent updates. All functions are pure and train a
+single agent; `vmap` adds agents.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from softfin.task.references import References
 from softfin.task.task import ForceTracking
 
 RECENT_UPDATES = 4
-"""Number of rollouts over which values are normalized; older values are forgotten, because values
+"""Number of rollouts over which values are normalized; older values are forgotten because values
 increase as the policy learns."""
 
 PerStep = Float[Array, "time environments"]
@@ -41,20 +41,20 @@ class PPOConfig(Configuration):
     num_envs: PositiveInt = 64
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 15
-    """Number of actions per environment and update, whole cycles of the clock; gradients are
-    propagated through all of them."""
+    """Number of actions per environment and update, a multiple of the clock cycle; gradients are
+    propagated through all of these actions."""
     num_epochs: PositiveInt = 4
     """Number of passes over each rollout."""
     num_minibatches: PositiveInt = 8
-    """Number of updates per epoch. Each minibatch contains complete sequences of
-    num_envs / num_minibatches environments."""
+    """Number of minibatches per epoch. Each minibatch contains complete sequences from num_envs /
+    num_minibatches environments."""
     learning_rate: PositiveFloat = 3e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
     """Final learning rate as a fraction of the initial one (linear decay)."""
     discount: float = Field(default=0.8, gt=0, lt=1)
-    """Discount factor gamma per action. 0.8 looks about 5 actions ahead, and the window of the
-    reward covers 6."""
+    """Discount factor gamma per action. With 0.8, the horizon is about 5 actions; the reward window
+    has 6."""
     gae_lambda: float = Field(default=0.8, ge=0, le=1)
     """Lambda of generalized advantage estimation."""
     clip_ratio: PositiveFloat = 0.2
@@ -63,9 +63,9 @@ class PPOConfig(Configuration):
     """Initial weight of the entropy [1/nat]; it decays linearly to 0."""
     averaging: NonNegativeFloat = 2.0
     """Approximate number of updates over which the evaluated policy is averaged; 0 to evaluate the
-    newest policy."""
+    latest policy."""
     value_coef: PositiveFloat = 0.5
-    """Weight of the critic's loss."""
+    """Weight of the critic loss."""
     max_grad_norm: PositiveFloat = 0.5
     """Maximum norm of the gradient; larger gradients are scaled down."""
 
@@ -89,17 +89,17 @@ class PPOConfig(Configuration):
         return self.num_epochs * self.num_minibatches
 
     def learning_rates(self, updates: int) -> optax.Schedule:
-        """Return the schedule of the learning rate over the optimizer steps of a run."""
+        """Return the learning rate schedule over the optimizer steps of a run."""
         end = self.learning_rate * self.final_learning_rate
         return optax.linear_schedule(self.learning_rate, end, updates * self.gradients_per_update)
 
     def entropy_coefs(self, updates: int) -> optax.Schedule:
-        """Return the schedule of the entropy's weight over the updates of a run."""
+        """Return the schedule of the entropy weight over the updates of a run."""
         return optax.linear_schedule(self.entropy_coef, 0.0, updates)
 
 
 class Batch(NamedTuple):
-    """A rollout with its advantages and the critic's targets."""
+    """A rollout with advantages and critic targets."""
 
     rollout: Rollout
     advantage: PerStep
@@ -125,7 +125,7 @@ class PPO:
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
         """Return the state of an agent with new networks and fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
-        # Only the size of the privileged observation is needed, so nothing is simulated.
+        # Only the size of the privileged observation is needed, so the plant is not simulated.
         state = jax.eval_shape(self.task.reset, environment_key, references)
         privileged = jax.eval_shape(self.task.privileged_observation, state)
         actor_key, critic_key = jax.random.split(network_key)
@@ -149,7 +149,8 @@ class PPO:
             self.task, networks.policy, agent.env_state, collect_key, cycles
         )
         batch, metrics = self.batch(networks.critic, rollout)
-        # Before training, so that the critic's targets are normalized from the first update on.
+        # Updated before training so that the critic targets are normalized from the first update
+        # on.
         recent = RECENT_UPDATES * self.config.steps_per_update
         critic = networks.critic.update_statistics(
             rollout.privileged_observation, batch.target, recent
@@ -157,8 +158,8 @@ class PPO:
         networks = ActorCritic(networks.policy, critic)
         learners, learning = self._learn(agent, networks, batch, learn_key)
         networks, averaged, optimiser = learners
-        # Updated after training: with other normalized observations, the ratios of probabilities
-        # would not start at 1.
+        # Updated after training: otherwise, the normalized observations would change and the
+        # probability ratios would not start at 1.
         policy = networks.policy.update_statistics(rollout.observation)
         networks = ActorCritic(policy, networks.critic)
         averaged = averaged.with_normalisation(policy.normalisation)
@@ -166,9 +167,9 @@ class PPO:
         return agent, metrics | learning
 
     def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
-        """Compute the advantages and the critic's targets for a rollout.
+        """Compute the advantages and the critic targets for a rollout.
 
-        Rewards are multiplied by 1 - discount, so that values are weighted means of future rewards
+        Rewards are multiplied by 1 - discount so that values are weighted means of future rewards
         [N] for any discount.
         """
         discount = self.config.discount
@@ -194,11 +195,11 @@ class PPO:
         start: PolicyMemory,
         entropy_coef: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Metrics]:
-        """Return the loss and its metrics for complete sequences, which start with the memories
+        """Return the loss and its metrics for complete sequences that start with the memories
         `start`.
 
-        The loss is the negative clipped objective plus the weighted loss of the critic, minus the
-        weighted entropy.
+        The loss is the negative clipped objective plus the weighted critic loss, minus the weighted
+        entropy.
         """
         config = self.config
         rollout = batch.rollout
@@ -218,7 +219,7 @@ class PPO:
             - entropy_coef * networks.policy.action_entropy()
         )
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
-        # E[ratio - 1 - log ratio] is an estimate of the KL divergence that is never negative.
+        # E[ratio - 1 - log ratio] is a non-negative estimate of the KL divergence.
         kl = jnp.mean(ratio - 1 - log_ratio)
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
@@ -275,7 +276,7 @@ def advantages(
     A_t = d_t + discount lambda A_{t+1},  d_t = r_t + discount V'_t - V_t
 
     V' is the value of the state after the action and before any reset. A truncated episode could
-    have continued, so it is bootstrapped with V', and only the sum over later errors ends.
+    have continued, so it is bootstrapped with V', but the recursion stops there.
     """
     errors = reward + discount * next_value - value
 

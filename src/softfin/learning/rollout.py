@@ -1,5 +1,5 @@
-"""A policy in its environments: the state of an agent, rollouts with exploration noise, and
-evaluation episodes without noise.
+"""The state of an agent and its environments, rollouts with exploration noise, and evaluation
+episodes without noise.
 
 All environments have the same phase on the 33/33/34 clock. A rollout is a scan over cycles of three
 actions, and each action is one vmapped call of the plant.
@@ -23,24 +23,24 @@ from softfin.task.task import ForceTracking, TaskState
 
 
 class EnvState(NamedTuple):
-    """State of an agent's environments between two actions; all leaves have a leading axis of
+    """State of the environments of an agent between two actions; all leaves have a leading axis of
     environments."""
 
     states: TaskState
     memories: PolicyMemory
-    """Memory of the policy, from all observations before the current one."""
+    """Memory of the policy after all observations before the current one."""
     is_first: Bool[Array, "environments"]
-    """Whether the environment was just reset; the memory is then that of the previous episode and
-    must be cleared."""
+    """Whether the environment was just reset; the memory is then from the previous episode and must
+    be cleared."""
 
 
 class AgentState(NamedTuple):
-    """State of the training of one policy between updates."""
+    """Training state of one policy between updates."""
 
     networks: ActorCritic
     """Networks that act and learn."""
     policy: Policy
-    """Policy that is evaluated and saved: an average over the last updates."""
+    """Policy that is evaluated and saved: an average over the most recent updates."""
     optimiser: PyTree
     env_state: EnvState
     key: PRNGKeyArray
@@ -82,8 +82,8 @@ def start_episodes(
 ) -> EnvState:
     """Return environments with fins at rest.
 
-    Their first episodes are shortened by different numbers of cycles, so that later resets do not
-    all happen at the same time.
+    The first episodes are shortened by different numbers of cycles so that later resets do not all
+    happen at the same time.
     """
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycle = len(task.config.clock.ticks)
@@ -107,7 +107,7 @@ def collect_rollout(
         env_state, steps = jax.lax.scan(
             lambda now, action: _act(task, policy, now, *action), env_state, held
         )
-        # Episodes end only at the end of a cycle, so that all environments keep the same phase.
+        # Episodes end only at the end of a cycle so that all environments keep the same phase.
         env_state = reset_truncated(task, env_state)
         return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
@@ -128,7 +128,7 @@ def _act(
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
-    # a = tanh(u) with u ~ N(mean, std). `mean` and log_prob(u) are kept for the ratios of PPO.
+    # a = tanh(u) with u ~ N(mean, std). `mean` and log_prob(u) are kept for the PPO ratios.
     pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
     states, outcome = jax.vmap(partial(task.step, ticks=ticks))(
         env_state.states, jnp.tanh(pre_tanh_action)
@@ -155,28 +155,29 @@ def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
     def choose(new: Array, old: Array) -> Array:
         return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-    # All environments are reset and the finished ones selected, because a branch cannot depend on
+    # All environments are reset and the finished ones selected because a branch cannot depend on
     # traced values.
     again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
     return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)
 
 
 class PolicyEvaluation(NamedTuple):
-    """Errors of a policy without exploration noise in one episode per reference, as in the paper's
-    Table II."""
+    """Errors of a policy without exploration noise in one episode per reference, as in Table II of
+    the paper."""
 
     error: Float[AnyArray, "*batch references 2"]
     """Mean of |moving average - reference| over all complete windows [N]."""
     std: Float[AnyArray, "*batch references 2"]
     """Standard deviation of the moving average [N]."""
     out_of_distribution_fraction: Float[AnyArray, "*batch references"] | None = None
-    """Fraction of actions outside the training data of an ensemble; None for other plants."""
+    """Fraction of actions outside the training data of an ensemble; None if the plant is not an
+    ensemble."""
 
 
 def evaluate_policy(
     task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray
 ) -> PolicyEvaluation:
-    """Run one episode from rest for each reference, all in parallel; references are constant."""
+    """Run one episode from rest for each constant reference, all in parallel."""
     count = len(references)
     clock = task.config.clock
     states = jax.vmap(task.reset)(
@@ -198,7 +199,8 @@ def evaluate_policy(
     _, (forces, distances) = jax.lax.scan(
         act, (states, memories), jnp.asarray(clock.action_ticks(actions))
     )
-    # Each action is padded to the length of the longest one; the series contains only valid ticks.
+    # Each action is padded to the length of the longest action; the series contains only valid
+    # ticks.
     series = jnp.swapaxes(drop_padding(forces, actions, clock), 0, 1)
     error = moving_error(series, references[:, None], clock.window_ticks)
     average = moving_average(series, clock.window_ticks)

@@ -1,7 +1,7 @@
-"""Trains one policy per cell by LSTM-PPO, all in one compiled program.
+"""Trains one policy per cell with LSTM-PPO, all in one compiled program.
 
-The policies do not exchange data, so each one depends only on its seed and cell. A resumed run ends
-with the same weights as an uninterrupted run.
+The policies do not exchange data, so each policy depends only on its seed and cell. A resumed run
+ends with the same weights as an uninterrupted run.
 """
 
 from functools import partial
@@ -30,7 +30,7 @@ from softfin.task.task import ForceTracking, TaskConfig
 
 PerCell: TypeAlias = Float[np.ndarray, "cells"]
 Checkpoint: TypeAlias = tuple[AgentState, Policy]
-"""State of all agents and the best policies so far."""
+"""State of all agents, and the best policies so far."""
 Candidates: TypeAlias = tuple[Policy, PolicyEvaluation]
 """Policies and their evaluations; leaves have a leading axis of cells."""
 
@@ -45,7 +45,7 @@ class TrainedPolicies(NamedTuple):
     reachable: Reachable
     limits: Limits
     policies: Policy
-    """Policy of each cell with the lowest error; leaves ``(cells, ...)``."""
+    """Policy with the lowest error in each cell; leaves ``(cells, ...)``."""
     references: Float[np.ndarray, "cells references 2"]
     """Evaluation references, each moved to the nearest reachable force [N]."""
     evaluation: PolicyEvaluation
@@ -62,12 +62,12 @@ def train_policies(
     run_directory: RunDirectory,
     report: ReportSearch = lambda *_: None,
 ) -> TrainedPolicies:
-    """Train a policy for each cell of references that the fin can reach; resume from the checkpoint
-    in `run_directory`, if any.
+    """Train a policy for each reachable cell; resume from the checkpoint in `run_directory` if
+    there is one.
 
     Raises:
-        ConfigurationError: the fin can produce none of the references.
-        RunError: a loss or a force is not finite, or the disk is full.
+        ConfigurationError: If the fin can reach none of the references.
+        RunError: If a loss or a force is not finite, or the disk is full.
     """
     limits = Limits(*map(float, plant.limits))
     cells = training_cells(config, reachable)
@@ -97,7 +97,7 @@ def train_policies(
             _check_finite("the force in the evaluation", _errors(evaluation), cells, update)
             best = _better(best, (agents.policy, evaluation))
             means |= _means(_scores(evaluation))
-        # Written before the checkpoint: a resumed run can remove surplus entries, but cannot
+        # Written before the checkpoint because a resumed run can remove surplus entries but not
         # restore missing ones.
         log.write(update * config.ppo.steps_per_update, **means)
         if is_evaluated:
@@ -129,7 +129,7 @@ def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[Agen
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:
-    # The key is always the same, so that policies of different updates and seeds can be compared.
+    # The key is always the same so that policies from different updates and seeds can be compared.
     evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=named_key(0, "score"))
     return jax.vmap(evaluate)(policies, references)
 
@@ -140,7 +140,7 @@ def _learner(config: TrainConfig, plant: Plant) -> PPO:
 
 
 def _without_keys(state: Checkpoint) -> Checkpoint:
-    """Convert random keys to integers, because files cannot contain keys."""
+    """Convert random keys to integers, because keys cannot be stored in files."""
     stored: Checkpoint = jax.tree.map(
         lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, state
     )
@@ -160,7 +160,8 @@ def _is_key(leaf: AnyArray) -> bool:
 
 
 def _is_evaluated(config: TrainConfig, update: int) -> bool:
-    """Whether the policies are evaluated after an update: evenly spaced, the last one included."""
+    """Return whether the policies are evaluated after an update; evaluations are evenly spaced and
+    include the last update."""
     count = config.num_evaluations
     return update * count // config.num_updates > (update - 1) * count // config.num_updates
 
@@ -175,7 +176,7 @@ def _check_finite(what: str, values: PerCell, cells: Cells, update: int) -> None
 
 
 def _better(best: Candidates | None, new: Candidates) -> Candidates:
-    """Return for each cell the policy with the lower mean error, as NumPy arrays."""
+    """For each cell, return the policy with the lower mean error, as NumPy arrays."""
     if best is None:
         best = new
     is_better = _errors(new[1]) < _errors(best[1])
@@ -193,8 +194,8 @@ def _errors(evaluation: PolicyEvaluation) -> PerCell:
 
 
 def _scores(evaluation: PolicyEvaluation) -> Metrics:
-    """Return the mean error of each policy over its references, and for ensembles the mean fraction
-    of actions outside the training data."""
+    """Return the mean error of each policy over its references and, for ensembles, the mean
+    fraction of actions outside the training data."""
     x, y = np.moveaxis(np.asarray(evaluation.error).mean(axis=1), -1, 0)
     scores: Metrics = {"score_x_n": x, "score_y_n": y}
     if evaluation.out_of_distribution_fraction is not None:

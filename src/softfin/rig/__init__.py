@@ -1,1 +1,1 @@
-"""Real fins: drives, sensors, session, safety, monitor."""
+"""Real fins: drives, sensors, session, safety and monitor."""

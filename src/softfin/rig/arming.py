@@ -1,4 +1,5 @@
-"""The operator at the terminal: confirms that a real fin may move, and stops it with Enter."""
+"""Interaction with the operator at the terminal, who confirms that a real fin may move and stops it
+with Enter."""
 
 import contextlib
 import os
@@ -19,21 +20,21 @@ SAVE_CURSOR = "\x1b7"
 RESTORE_CURSOR = "\x1b8"
 LINE_UP = "\x1b[A"
 ERASE_LINE = "\r\x1b[K"
-"""Control sequences of terminals (ECMA-48; those for the cursor are the VT100's)."""
+"""Control sequences of terminals (ECMA-48; cursor sequences as in the VT100)."""
 
 
 class Arming(NamedTuple):
     """Whether a real fin may move."""
 
     arm: bool = False
-    """Allow the real fin to move, after the operator confirms on the terminal."""
+    """Allow the real fin to move after the operator confirms on the terminal."""
     yes: bool = False
     """With `arm`, skip the confirmation."""
 
     def confirm(
         self, robot: RobotSetup, motion: str | None = None, needs_proof: bool = True
     ) -> None:
-        """Print an open machine's notes and ask the operator to confirm the motion.
+        """Print the notes of an open machine and ask the operator to confirm the motion.
 
         `motion` describes the motion if the machine does not follow commands. `needs_proof` also
         requires `RobotSetup.check_ready` to pass. Raises ConfigurationError if the operator does
@@ -58,7 +59,7 @@ class Arming(NamedTuple):
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
             f"up to {limits.velocity_max:.2f} rad/s"
         )
-        # Enter pressed before the prompt must not count as an answer.
+        # Enter pressed before the prompt must not be treated as an answer.
         discard_typed_ahead()
         sys.stderr.write(
             f"{printable(name)}: {motion}.\n"
@@ -78,8 +79,8 @@ class KeyboardStop:
         self._arming = arming
 
     def confirm(self, robot: RobotSetup) -> None:
-        """Ask whether the fin may move, then listen for Enter; raises ConfigurationError if it may
-        not."""
+        """Ask whether the fin may move, then listen for Enter; raises ConfigurationError if the
+        operator does not confirm."""
         self._arming.confirm(robot)
         listen_on_terminal(
             self.stop, lambda _: say("the commands are fixed; press Enter alone to stop the fin")
@@ -87,21 +88,21 @@ class KeyboardStop:
 
 
 def on_terminal() -> bool:
-    """Whether an operator can answer: standard input exists and is a terminal."""
-    # sys.stdin is None if its descriptor is closed, although its declared type excludes that.
+    """Return whether an operator can answer, i.e. standard input exists and is a terminal."""
+    # sys.stdin is None if its descriptor is closed, although its declared type excludes None.
     given: TextIO | None = sys.stdin
     return given is not None and given.isatty()
 
 
 def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Request a stop on Enter or when the terminal's input ends; call `line` with any other
-    input."""
+    """Request a stop on Enter or when the terminal input ends; call `line` with any other input."""
     if on_terminal() and not _in_background():
         listen_to_keyboard(stop, line, typed(stop, sys.stdin))
 
 
 def _in_background() -> bool:
-    """Whether this is a background job (&): reading would suspend it, in the middle of a motion."""
+    """Return whether this is a background job (&), which reading would suspend in the middle of a
+    motion."""
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
     except OSError:
@@ -110,7 +111,7 @@ def _in_background() -> bool:
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Yield the lines typed on the terminal. If they end or are not text, request an emergency
+    """Yield the lines typed on the terminal. If the input ends or is not text, request an emergency
     stop, because no key can stop the fin any more."""
     with contextlib.suppress(OSError, ValueError):
         for line in terminal:
@@ -122,14 +123,14 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
 
 
 class StatusLine:
-    """The state of a run on standard error, updated in place, above the line on which the operator
-    types. Where there is no terminal, each state is a line of its own."""
+    """The state of a run on standard error, updated in place above the line on which the operator
+    types. Without a terminal, each state is printed on a new line."""
 
     def __init__(self) -> None:
         self._is_shown = False
 
     def show(self, state: str, keys: str) -> None:
-        """Replace the state; `keys` says what the operator may type."""
+        """Replace the state; `keys` describes what the operator may type."""
         if not sys.stderr.isatty():
             self.say(state)
             return
@@ -142,12 +143,12 @@ class StatusLine:
         self._is_shown = True
 
     def say(self, text: str) -> None:
-        """Print a line that stays; the next state is shown below it."""
+        """Print a permanent line; the next state is shown below it."""
         self.clear()
         sys.stderr.write(printable(text) + "\n")
 
     def clear(self) -> None:
-        """Erase the line on which the operator types, if there is one; the last state stays."""
+        """Erase the input line of the operator, if there is one; the last state stays."""
         if self._is_shown:
             sys.stderr.write(ERASE_LINE)
         self.release()
@@ -158,7 +159,7 @@ class StatusLine:
 
 
 STATUS = StatusLine()
-"""The only one, as there is only one terminal."""
+"""The only status line, because there is only one terminal."""
 
 
 def say(text: str) -> None:

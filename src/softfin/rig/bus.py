@@ -6,7 +6,7 @@ from softfin.core.configuration import Configuration
 
 
 class BusConfig(Configuration):
-    """A CAN bus, in python-can's terms."""
+    """A CAN bus, as defined by python-can."""
 
     interface: str
     """python-can interface of the adapter, e.g. socketcan, pcan, kvaser, slcan, socketcand or

@@ -1,4 +1,4 @@
-"""Check the parts of a rig: disk, drive, sensor, limits and the 100 Hz loop. Nothing moves."""
+"""Checks the parts of a rig: disk, drive, sensor, limits and the 100 Hz loop. Nothing moves."""
 
 import shutil
 import tempfile
@@ -23,7 +23,7 @@ def check_rig(rig: Rig, folder: Path, seconds: float = 3.0) -> Iterator[CheckRes
     yield check_disk(folder)
     all_well = True
     for what, results in (
-        # The drive comes first, as in `Rig.open`, in case another program is using both devices.
+        # The drive comes first, as in `Rig.open`, in case a second program is using both devices.
         ("drive", _check_drive(rig)),
         ("force sensor", _check_sensor(rig)),
         ("100 Hz loop", _check_loop(rig, seconds)),
@@ -43,7 +43,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     sensor = rig.sensor
     sensor.open()
     yield from sensor.checks()
-    # First, because a sensor whose zero softfin keeps needs it for the measurement.
+    # This comes first, because softfin needs it to measure a sensor whose zero it keeps.
     zero_result = _check_force_zero(rig)
     mean, deviation = sensor.measured(1.0)
     force = ", ".join(f"{value:+.3f}" for value in mean[:3])
@@ -96,8 +96,8 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
 
 
 def check_currents(rig: Rig) -> Iterator[CheckResult]:
-    """Compare the safety limits for the current with the drive's limits; one above the drive's
-    limit can never trip."""
+    """Compare the current limits in the safety settings with the limits of the drive; a safety
+    limit above the drive limit can never trip."""
     safety = rig.config.safety
     own = rig.drive.current_limits()
     for name, limit_a, own_a in (
@@ -106,8 +106,8 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
     ):
         if own_a is None or limit_a is None:
             continue
-        # The drive clips the peak current at its own limit, so the current never exceeds a safety
-        # limit equal to it.
+        # The drive clips the peak current at its own limit, so the current never exceeds an equal
+        # safety limit.
         is_peak = name == "current_peak_a"
         if limit_a > own_a or (is_peak and limit_a == own_a):
             text = (

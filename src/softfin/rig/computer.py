@@ -1,6 +1,6 @@
-"""The computer that runs the drivers: its clock, and the ports that lead to its devices.
+"""The computer that runs the drivers: its clock and the ports of its devices.
 
-Emulated devices in simulated time are behind the ports of another one,
+Emulated devices in simulated time use the ports of a different computer,
 `softfin.emulation.clock.SimulatedClock`.
 """
 
@@ -23,16 +23,16 @@ class UdpSocket(Protocol):
     """The methods of a UDP socket that softfin uses."""
 
     def bind(self, address: Address, /) -> None:
-        """Choose the socket's own address."""
+        """Set the local address of the socket."""
 
     def connect(self, address: Address, /) -> None:
-        """Set the only address to send to and receive from."""
+        """Set the only remote address."""
 
     def setsockopt(self, level: int, option: int, value: int, /) -> None:
         """Set an option."""
 
     def settimeout(self, seconds: float | None, /) -> None:
-        """Set the longest wait for a datagram [s]; 0 for none."""
+        """Set the maximum wait for a datagram [s]; 0 for no wait."""
 
     def send(self, data: bytes, /) -> int:
         """Send to the connected address."""
@@ -46,10 +46,10 @@ class UdpSocket(Protocol):
     def recvmsg(
         self, size: int, ancillary: int, /
     ) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
-        """Return a datagram, what the kernel adds to it, flags, and its sender."""
+        """Return a datagram, the ancillary data from the kernel, flags, and the sender."""
 
     def getsockname(self) -> Address:
-        """Return the socket's own address."""
+        """Return the local address of the socket."""
 
     def fileno(self) -> int:
         """Return -1 if the socket is closed."""
@@ -59,27 +59,28 @@ class UdpSocket(Protocol):
 
 
 class SerialPort(Protocol):
-    """The members of pyserial's ports that softfin uses."""
+    """The members of a pyserial port that softfin uses."""
 
     @property
     def in_waiting(self) -> int:
         """Number of bytes that have arrived."""
 
     def read(self, size: int, /) -> bytes:
-        """Return bytes, fewer than `size` after the port's timeout."""
+        """Return `size` bytes, or fewer if the port times out."""
 
     def write(self, data: bytes, /) -> object:
         """Send bytes."""
 
     def set_low_latency_mode(self, is_low: bool, /) -> None:
-        """Ask the adapter to pass bytes on at once; raises an error if it cannot."""
+        """Configure the adapter to pass on bytes immediately; raises an error if this is not
+        supported."""
 
     def close(self) -> None:
         """Close; may be called repeatedly."""
 
 
 class Computer(Clock):
-    """The computer's clock and ports."""
+    """The clock and the ports of the computer."""
 
     def open_bus(self, config: BusConfig) -> "can.BusABC":
         """Open a CAN bus; raises python-can's errors."""
@@ -98,12 +99,12 @@ class Computer(Clock):
         write_timeout_s: float | None = None,
         exclusive: bool = True,
     ) -> SerialPort:
-        """Open a serial port; raises DeviceError.
+        """Open a serial port; raises DeviceError on failure.
 
-        A read waits for up to `timeout_s`, a write for up to `write_timeout_s` (None: without
+        Reading waits for up to `timeout_s`, and writing for up to `write_timeout_s` (None: no
         limit). With `exclusive`, no other program may use the port.
         """
-        # Imported here because it belongs to the extra `serial`, which not every rig needs.
+        # Imported here because it belongs to the `serial` extra, which not every rig needs.
         import serial
 
         try:
@@ -128,7 +129,7 @@ class Computer(Clock):
         return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def fetch_page(self, host: str, port: int, path: str) -> bytes | None:
-        """Return a device's web page; None if the device does not have it."""
+        """Return a web page of a device; None if the device does not have this page."""
         return fetch_page(host, port, path)
 
 

@@ -26,17 +26,17 @@ class RealFinConfig(Configuration):
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
-    """Rest time before each log or experiment, so that the water calms down [s]."""
+    """Rest time before each log or experiment, during which the water calms down [s]."""
 
 
 class EmulationConfig(Configuration):
-    """Emulation of a rig drive and sensor in simulated time, within each program that uses the
-    rig."""
+    """Emulation of the drive and the sensor of a rig in simulated time, within each program that
+    uses the rig."""
 
     seed: int = 0
     """Seed of the sensor noise."""
     tank: JsonObject = Field(default_factory=dict)
-    """Tank around the fin, as in the file for `softfin rig emulate --tank`; empty for the default
+    """Tank around the fin, in the format of `softfin rig emulate --tank`; empty for the default
     tank."""
 
 
@@ -44,23 +44,23 @@ class RigConfig(RealFinConfig):
     """Configuration of one rig; values that depend on your hardware have no default."""
 
     bus: BusConfig | None = None
-    """The CAN bus; required by drives on one."""
+    """The CAN bus; required by drives on a CAN bus."""
     drive: Annotated[
         SerializeAsAny[DriveConfig],
         BeforeValidator(Chosen(partial(choose_config, DriveType, DriveConfig.DEFAULT_TYPE))),
     ]
-    """The drive; `type` selects it and is epos2 by default."""
+    """The drive, selected by `type` (default: epos2)."""
     sensor: Annotated[
         SerializeAsAny[ForceSensorConfig],
         BeforeValidator(
             Chosen(partial(choose_config, ForceSensorType, ForceSensorConfig.DEFAULT_TYPE))
         ),
     ]
-    """The force sensor; `type` selects it and is axia80 by default."""
+    """The force sensor, selected by `type` (default: axia80)."""
     safety: SafetyConfig
     """Safety limits; the current limits are required for a rig."""
     emulation: EmulationConfig | None = None
-    """Emulation in simulated time; None for a real rig or one emulated in real time."""
+    """Emulation in simulated time; None for a real rig and for emulation in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property
@@ -96,12 +96,12 @@ class Ros2Config(RealFinConfig):
     """Configuration of a fin behind ROS 2 topics."""
 
     topics: Ros2PlantConfig
-    """Topics for the fin's readings and commands."""
+    """Topics for the readings and commands of the fin."""
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """Load a rig file (default: rig.yaml); raises RigError with the key, its value and the
-    allowed values."""
+    """Load a rig file (default: rig.yaml); if it is invalid, raises RigError with the key, its
+    value and the allowed values."""
     file = path or RIG_FILE
     config = _load(file, RigConfig)
     config._file = file.resolve()

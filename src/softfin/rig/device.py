@@ -1,12 +1,12 @@
 """Interface of a rig drive, and the configurations and readings of drives and force sensors.
 
-A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
-`softfin.devices`. It consists of a configuration and a class that implements `Drive`, or
-`softfin.rig.streamed_sensor.RecordSource` for a force sensor; `DriveType` or `ForceSensorType` of
-`softfin.rig.device_type` names both. `softfin.testing.check_drive` and `check_force_sensor` test an
-implementation.
+A device is a folder in `rig/devices`, or your own package with an entry point in the group
+`softfin.devices`. It consists of a configuration and a class that implements `Drive` or, for a
+force sensor, `softfin.rig.streamed_sensor.RecordSource`. A `DriveType` or `ForceSensorType` from
+`softfin.rig.device_type` combines the two. `softfin.testing.check_drive` and `check_force_sensor`
+test an implementation.
 
-All times are from the `clock` that the device is given [s]. All calls come from one thread at a
+All times are from the `clock` that is passed to the device [s]. All calls come from one thread at a
 time, except that any thread may call `Drive.stop`.
 """
 
@@ -24,9 +24,9 @@ from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Target, Wrench
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
-"""How the state of a result is printed."""
+"""Printed form of each result state."""
 MAX_BRAKE_S = 0.5
-"""Longest allowed braking from the highest velocity [s]; softfin does not wait any longer."""
+"""Maximum braking time from the highest velocity [s]; softfin does not wait any longer."""
 
 
 class RefusedError(DeviceError):
@@ -38,7 +38,7 @@ class RefusedError(DeviceError):
 
 
 class CheckResult(NamedTuple):
-    """One line of the table of `softfin rig check`."""
+    """One line of the table printed by `softfin rig check`."""
 
     what: str
     state: Literal["well", "note", "wrong"]
@@ -69,28 +69,29 @@ class DeviceConfig(Configuration):
     """Type of a device without the key `type`."""
 
     type: str
-    """Name of the device's type."""
+    """Name of the device type."""
 
 
 def is_address(field: str) -> bool:
-    """Return whether a field of a device's configuration only defines its address, which may change
-    at any time; the others affect the readings or the motion."""
+    """Return whether a configuration field of a device only defines its address, which may change
+    at any time; other fields affect the readings or the motion."""
     return field in ("address", "port", "connection") or field.endswith("_port")
 
 
 def drop_address(device: JsonObject) -> JsonObject:
-    """Return a device's configuration without the fields of its address."""
+    """Return the configuration of a device without the address fields."""
     return {name: value for name, value in device.items() if not is_address(name)}
 
 
 class DriveConfig(DeviceConfig):
-    """Settings that softfin needs from every drive."""
+    """Settings that softfin requires for every drive."""
 
     DEFAULT_TYPE = "epos2"
     NEEDS_BUS: ClassVar[bool] = False
-    """Whether the rig file needs a CAN bus for this drive."""
+    """Whether this drive needs a CAN bus in the rig file."""
     ZERO_POWERS_MOTOR: ClassVar[bool] = True
-    """Whether `Drive.zero` powers the motor and therefore needs a proof of the drive's own stop."""
+    """Whether `Drive.zero` powers the motor and therefore needs a proof that the drive stops by
+    itself."""
 
     angle_min_rad: float = PAPER_LIMITS.angle_min
     """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
@@ -105,15 +106,15 @@ class DriveConfig(DeviceConfig):
     """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
     gearbox and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
-    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
-    withstand."""
+    """Deceleration of a stop [rad/s2]; no default, because it depends on the load that the fin
+    mount can withstand."""
     direction: Literal[1, -1] = 1
     """-1 if the positive direction of the drive corresponds to negative fin angles."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True
-    """Refuse to move until the fin has been zeroed after each power-up of the drive; set to false
-    only for an absolute encoder."""
+    """Refuse to move until the fin has been zeroed after each power-up of the drive; set this to
+    false only for an absolute encoder."""
 
     @property
     def limits(self) -> Limits:
@@ -124,12 +125,12 @@ class DriveConfig(DeviceConfig):
 
     @property
     def summary(self) -> str:
-        """The settings to compare with the device, in a few words."""
+        """Short summary of the settings to compare with the device."""
         return self.type
 
     @property
     def host(self) -> int | None:
-        """Number of this program on the drive's bus; None if the bus has none."""
+        """Number of this program on the bus of the drive; None if the bus has no such numbers."""
         return None
 
     @model_validator(mode="after")
@@ -147,24 +148,23 @@ class DriveConfig(DeviceConfig):
 
 
 class ForceSensorConfig(DeviceConfig):
-    """Settings that softfin needs from every force sensor."""
+    """Settings that softfin requires for every force sensor."""
 
     DEFAULT_TYPE = "axia80"
 
     frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
     """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``; z follows
-    from the right-hand rule. No default, because it depends on how the sensor is mounted."""
+    from the right-hand rule. No default, because the axes depend on how the sensor is mounted."""
 
     def check_stale(self, force_stale_s: float) -> None:
-        """Raise ValueError if the sensor's readings are usually older than a limit on their age
-        [s]."""
+        """Raise ValueError if the usual age of the sensor readings exceeds a limit [s]."""
 
 
 class DriveReading(NamedTuple):
     """The latest values of a drive, all valid at the same time."""
 
     time: float
-    """Time of the values [s]; more than one tick old if no newer ones have arrived."""
+    """Time of the values [s]; more than one tick ago if no newer values have arrived."""
     angle: float
     """Shaft angle [rad]."""
     velocity: float
@@ -181,23 +181,23 @@ class ForceReading(NamedTuple):
     """The latest force."""
 
     force_time: float
-    """Time of the filtered wrench [s]: time of the latest record minus all delays."""
+    """Time of the filtered wrench [s]: the time of the latest record minus all delays."""
     wrench: Wrench
     """Filtered force and torque in softfin's axes [N, N m]."""
     peak: Wrench
-    """Largest magnitudes of the unfiltered records since the previous read; used for safety limits,
+    """Maximum magnitudes of the unfiltered records since the previous read; used for safety limits
     because the filter is slow."""
 
 
 class CurrentLimits(NamedTuple):
-    """Limits of a drive for the motor's current [A]; None if unknown."""
+    """Limits of a drive for the motor current [A]; None if unknown."""
 
     peak_a: float | None
     continuous_a: float | None
 
 
 class Drive(Protocol):
-    """A drive that turns the fin's shaft to target angles."""
+    """A drive that turns the fin shaft to target angles."""
 
     @property
     def config(self) -> DriveConfig:
@@ -205,11 +205,11 @@ class Drive(Protocol):
 
     @property
     def where(self) -> str:
-        """How the drive is reached, for messages, e.g. its bus and its number there."""
+        """Location of the drive for messages, e.g. its bus and its number on the bus."""
 
     @property
     def device_lock(self) -> DeviceLock:
-        """Lock acquired by `connect`, so that no second program uses the drive."""
+        """Lock acquired by `connect` so that no second program uses the drive."""
 
     @property
     def serial(self) -> int | None:
@@ -217,45 +217,46 @@ class Drive(Protocol):
 
     @property
     def identity(self) -> dict[str, int | str | None]:
-        """Properties of the open drive that may affect its own stop, by name: type, identifiers,
-        and settings such as a homing offset. A proof of the stop is valid only while they do not
-        change."""
+        """Properties of the open drive, by name, that may affect whether it stops by itself: type,
+        identifiers, and settings such as a homing offset. A proof is valid only as long as these
+        properties do not change."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the drive's setup since it was opened, one line each."""
+        """Notes on the drive setup since the drive was opened, one line each."""
 
     @property
     def referenced(self) -> bool:
-        """Whether the fin's zero is known."""
+        """Whether the zero angle of the fin is known."""
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning that the motor may still be on after a stop; None if it is confirmed to be
+        """Warning that the motor may still be on after a stop; None if the motor is confirmed to be
         off."""
 
     def connect(self) -> None:
-        """Connect to the drive in any state without changing anything; raises RigError or
-        DeviceError."""
+        """Connect to the drive, in any state, without changing anything; raises RigError or
+        DeviceError on failure."""
 
     def open(self) -> None:
-        """Connect, check, and write and read back the configuration; the motor stays off. On
-        failure, close again and raise RigError or DeviceError."""
+        """Connect, run checks, and write and read back the configuration; the motor stays off. On
+        failure, close the drive and raise RigError or DeviceError."""
 
     def read(self) -> DriveReading:
-        """Return the latest values; called once per tick, must not wait longer than a few
-        milliseconds. Also sends what keeps the drive from stopping by itself."""
+        """Return the latest values, and send what keeps the drive from stopping by itself. Called
+        once per tick; must not wait longer than a few milliseconds."""
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]; may wait 20 ms."""
+        """Return the current shaft angle [rad]; may take 20 ms."""
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
+        """Power the motor, which holds its position. If this raises RigError or DeviceError, the
         motor is off. `meanwhile` is called every few milliseconds."""
 
     def command(self, target: Target) -> None:
-        """Start moving to a target and return immediately; raises CommandError if it is outside the
-        limits, and DeviceError if the drive has not been enabled since the last stop."""
+        """Start moving to a target and return immediately; raises CommandError if the target is
+        outside the limits, and DeviceError if the drive has not been enabled since the last
+        stop."""
 
     def stop(self) -> None:
         """Brake as fast as the drive allows, then disable the motor; may be called repeatedly from
@@ -265,10 +266,11 @@ class Drive(Protocol):
         """Stop and disconnect; may be called repeatedly and never raises."""
 
     def zero(self) -> None:
-        """Make the present angle the fin's zero; nothing moves. The drive must be open."""
+        """Make the current angle the zero angle of the fin; nothing moves. The drive must be
+        open."""
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its description; None if there was none. The
+        """Acknowledge the drive fault and return its description; None if there was no fault. The
         motor stays off. Raises DeviceError if the fault persists."""
 
     def switch_off(self) -> None:
@@ -277,16 +279,16 @@ class Drive(Protocol):
 
     def prove_stop(self) -> float:
         """Power the motor at rest and send nothing; return the time until the drive stops by itself
-        [s]. Raises DeviceError if it does not."""
+        [s]. Raises DeviceError if it does not stop."""
 
     def checks(self) -> Iterator[CheckResult]:
         """Yield lines for `softfin rig check` about the open drive; the first describes it."""
 
     def current_limits(self) -> CurrentLimits:
-        """Return the open drive's own limits for the motor's current."""
+        """Return the limits of the open drive for the motor current."""
 
     def complaints(self) -> tuple[str, ...]:
-        """Return one line per fault as of the latest read, ending with its fix."""
+        """Return one line per fault as of the latest read; each line ends with the fix."""
 
     def counters(self) -> dict[str, int]:
         """Return the counters since `open`, by name."""

@@ -1,4 +1,4 @@
-"""Types of devices: the configuration of each and how it is made."""
+"""Types of devices: their configurations and functions that create them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class DriveType(Generic[Settings]):
     """A type of drive."""
 
     config: type[Settings]
-    """Class of its configuration."""
+    """Configuration class of the device."""
     make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
-    at once when the drive reports a fault, from any thread."""
+    """Function that creates a drive from its configuration, the CAN bus of the rig, the computer,
+    and a function to call immediately, from any thread, when the drive reports a fault."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,6 @@ class ForceSensorType(Generic[Settings]):
     """A type of force sensor."""
 
     config: type[Settings]
-    """Class of its configuration."""
+    """Configuration class of the device."""
     make: Callable[[Settings, Computer], StreamedSensor]
-    """Makes a sensor from its configuration and the computer."""
+    """Function that creates a sensor from its configuration and the computer."""

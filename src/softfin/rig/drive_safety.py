@@ -1,4 +1,4 @@
-"""Safety code that all drives share: checks before the motor is powered, and the last steps of a
+"""Safety code shared by all drives: checks before the motor is powered, and the last steps of a
 stop."""
 
 from collections.abc import Callable, Container, Iterable, Iterator
@@ -15,15 +15,17 @@ Entry = TypeVar("Entry")
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
 MIN_ATTEMPTS = 3
-"""Minimum number of attempts at each step of a stop; one unanswered request may use up its time."""
+"""Minimum number of attempts at each step of a stop; a single unanswered request may use up the
+time of the step."""
 
 STOP_CONFIRMED_S = 0.3
-"""Time for which the motor must stay off [s]; a program that still drives it would power it again
-within this time."""
+"""Time for which the motor must stay off [s]; a program that still controls the drive would power
+it again within this time."""
 
 
 class Setting(NamedTuple, Generic[Entry]):
-    """An entry of a drive, the values that units and limits rely on, and the fix for others."""
+    """An entry of a drive, the values on which units and limits rely, and the fix for other
+    values."""
 
     entry: Entry
     allowed: Container[int]
@@ -33,8 +35,8 @@ class Setting(NamedTuple, Generic[Entry]):
 def check_settings(
     settings: Iterable[Setting[Entry]], read: Callable[[Entry], int | None], program: str
 ) -> tuple[str, ...]:
-    """Raise RigError if a setting has a different value; return one note per entry that the drive
-    does not have. `program` is the one with which the user changes settings."""
+    """Raise RigError if a setting has an unsupported value; return one note per entry that the
+    drive does not have. `program` is the program for changing the settings."""
     notes = []
     for setting in settings:
         value = read(setting.entry)
@@ -46,8 +48,8 @@ def check_settings(
 
 
 def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: float) -> bool:
-    """Retry every `step_s` [s] until `done()` or for `seconds`, but at least three times; a
-    DeviceError means not done."""
+    """Retry every `step_s` [s] until `done()` returns True or for `seconds`, but at least three
+    times; a DeviceError is treated as not done."""
     end = clock() + seconds
     attempts = 0
     while attempts < MIN_ATTEMPTS or clock() <= end:
@@ -60,12 +62,13 @@ def try_until(clock: Clock, done: Callable[[], bool], seconds: float, step_s: fl
 
 
 def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
-    """Return whether a motor stays off, checking every `step_s` [s]: a program that still drives it
-    would power it again.
+    """Return whether a motor stays off, checked every `step_s` [s]; a program that still controls
+    the drive would power it again.
 
-    Answers may be lost to such a program, but a final answer must confirm that the motor is off.
+    Such a program may read some of the answers, but a final answer must confirm that the motor is
+    off.
     """
-    # By the clock, because a silent drive takes far longer for each answer than a step.
+    # Use the clock, because each answer of a silent drive takes far longer than a step.
     end = clock() + STOP_CONFIRMED_S
     while clock() < end:
         with suppress(DeviceError):
@@ -76,12 +79,12 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
 
 
 class PausedError(DeviceError):
-    """A test of the drive's own stop is not valid, because the computer paused."""
+    """Raised if a stop test is not valid because the computer paused."""
 
 
 def check_no_pause(silent_s: float, longest_s: float) -> None:
-    """Raise PausedError if the stop test lasted longer than the limit for the drive [s], because
-    only a pause of the computer can cause this."""
+    """Raise PausedError if the stop test took longer than the limit for the drive [s], which only a
+    pause of the computer can cause."""
     if silent_s > longest_s:
         raise PausedError(
             f"computer: paused for {silent_s:.1f} s during the stop test, so it is not valid; "
@@ -90,8 +93,8 @@ def check_no_pause(silent_s: float, longest_s: float) -> None:
 
 
 def check_fin_angle(angle: float, config: DriveConfig) -> None:
-    """Raise RigError if the fin's angle [rad] is so far outside its range that its motor must not
-    be powered."""
+    """Raise RigError if the fin angle [rad] is so far outside its range that the motor must not be
+    powered."""
     low = config.angle_min_rad
     high = config.angle_max_rad
     if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
@@ -103,7 +106,7 @@ def check_fin_angle(angle: float, config: DriveConfig) -> None:
 
 @contextmanager
 def stopped_afterwards(drive: Drive) -> Iterator[None]:
-    """Stop the motor when the block ends, even with an exception; raises SafetyStop if the motor
+    """Stop the motor when the block ends, even after an exception; raises SafetyStop if the motor
     may still be on."""
     reason = "the drive was stopped"
     try:
@@ -115,9 +118,10 @@ def stopped_afterwards(drive: Drive) -> Iterator[None]:
         try:
             drive.stop()
         finally:
-            # Once more, in case Ctrl-C interrupted the first stop; this takes no time if the motor
-            # is off.
+            # Stop once more, in case Ctrl-C interrupted the first stop; this takes no time if the
+            # motor is off.
             drive.stop()
             if drive.stop_unconfirmed:
-                # This outranks any other error: the operator is next to a powered motor.
+                # This error is more important than any other, because the operator is next to a
+                # powered motor.
                 raise SafetyStop(f"{reason}; BUT {drive.stop_unconfirmed}")

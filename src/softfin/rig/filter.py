@@ -1,9 +1,10 @@
-"""Anti-alias filter between a sensor stream and the 100 Hz logs, with linear phase and hence an
-exact delay.
+"""Anti-alias filter between a sensor stream and the 100 Hz logs, with a linear phase and therefore
+an exact delay.
 
-A windowed sinc with a Kaiser window, using Kaiser's formulas for its length and shape (Oppenheim
-and Schafer, Discrete-Time Signal Processing, ch. 7). `scipy.signal` has the same design but would
-add one second of import time to every rig command. Short gaps are bridged by linear interpolation.
+The filter is a sinc with a Kaiser window, using Kaiser's formulas for length and shape (Oppenheim
+and Schafer, Discrete-Time Signal Processing, ch. 7). `scipy.signal` contains the same design but
+would add one second of import time to every rig command. Short gaps are bridged by linear
+interpolation.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ ATTENUATION_DB = 46.0
 so less than 1/150 of a signal there aliases into the log."""
 
 BRIDGED_S = 0.01
-"""Longest gap that is bridged [s]; over this time, a signal below 50 Hz is nearly a straight
+"""Maximum gap that is bridged [s]; over this time, a signal below 50 Hz is nearly a straight
 line."""
 
 
@@ -36,16 +37,16 @@ def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
 
 
 class AntiAlias:
-    """Streaming filter that accepts records one at a time and computes its output on request."""
+    """Streaming filter that accepts records one at a time and computes the output on request."""
 
     def __init__(self, rate_hz: float, cutoff_hz: float, channels: int = 6) -> None:
         self.taps = design(rate_hz, cutoff_hz)
         self.delay = len(self.taps) // 2
         """Exact delay of the output [records]."""
         self.newest = 0
-        """Position of the latest record in the stream, counting missing ones."""
+        """Position of the latest record in the stream, counting missing records."""
         self._longest = max(1, round(BRIDGED_S * rate_hz))
-        # Each record is stored twice, so that the latest ones always form one contiguous slice.
+        # Each record is stored twice so that the latest records always form one contiguous slice.
         self._ring = np.zeros((2 * len(self.taps), channels))
         self._held = 0
 
@@ -55,7 +56,7 @@ class AntiAlias:
         return missing <= self._longest
 
     def put(self, values: Float[np.ndarray, " channels"], missing: int = 0) -> None:
-        """Add a record after `missing` lost ones; a gap that is too long empties the filter."""
+        """Add a record after `missing` lost records; a gap that is too long empties the filter."""
         if not self.bridges(missing):
             self._held = 0
         if not self._held:

@@ -13,18 +13,19 @@ from softfin.rig.safety import FORCE_PEAK_N
 from softfin.rig.streamed_sensor import StreamedSensor
 
 MOVING_N = 0.3
-"""Standard deviation of the force above which the fin counts as moving [N], times
+"""Standard deviation of the force above which the fin is treated as moving [N], before scaling by
 `tolerance_scale`."""
 
 ZERO_N = 0.1
-"""Largest mean force after zeroing, in addition to its noise [N], times `tolerance_scale`."""
+"""Maximum mean force after zeroing, in addition to the noise [N], before scaling by
+`tolerance_scale`."""
 
 
 def zero_force(sensor: StreamedSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
-    """Set the sensor zero to the force at rest and save it in the rig record; raises
-    DeviceError if that fails.
+    """Set the sensor zero to the force at rest and save it in the rig record; raises DeviceError on
+    failure.
 
-    Mean and noise are measured over `seconds`, before and after.
+    Mean and noise are measured over `seconds` before and after zeroing.
     """
     scale = tolerance_scale(config)
     moving_n = MOVING_N * scale
@@ -60,11 +61,12 @@ def zero_force(sensor: StreamedSensor, config: RigConfig, seconds: float = 2.0) 
 
 
 def tolerance_scale(config: RigConfig) -> float:
-    """Return the factor by which tolerances of the force at rest exceed those for the paper's fin.
+    """Return the factor by which tolerances of the force at rest exceed the tolerances for the
+    paper's fin.
 
-    The zero matters for the safety limits, because each log and each run also subtracts its own
-    force at rest. So a large fin, whose `safety.force_peak_n` is large, may rest in rougher water.
-    For a small fin the tolerances stay the same, because the sensor noise does.
+    The zero affects only the safety limits, because each log and each run also subtracts its own
+    force at rest. A large fin, with a large `safety.force_peak_n`, may therefore rest in rougher
+    water. For a small fin, the tolerances stay the same because the sensor noise does.
     """
     return max(round_size(config.safety.force_peak_n / FORCE_PEAK_N), 1.0)
 
@@ -85,5 +87,5 @@ def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | N
 
 
 def _settings(sensor: StreamedSensor) -> JsonObject:
-    """Return the settings that the sensor zero depends on."""
+    """Return the settings on which the sensor zero depends."""
     return drop_address(sensor.config.model_dump(mode="json")) | sensor.identity

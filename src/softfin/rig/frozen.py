@@ -1,5 +1,5 @@
 """Detection of sensor channels that no longer change, e.g. because one of two load cells is dead or
-saturated. Without I/O: values in, names of frozen channels out."""
+saturated. This module has no I/O."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,18 +7,19 @@ from jaxtyping import Float
 from softfin.rig.machine import WRENCH_CHANNELS
 
 FROZEN_RECORDS = 20
-"""Minimum number of consecutive equal values that counts as frozen. If the noise of a channel has a
-standard deviation of one count, 20 values are equal by chance once in 3e8 records."""
+"""Minimum number of consecutive equal values at which a channel is treated as frozen. If the noise
+of a channel has a standard deviation of one count, 20 values are equal by chance once in 3e8
+records."""
 
 
 class FrozenChannels:
     """Counts consecutive equal values per channel, because the other channels usually still change
-    if one fails."""
+    if one channel fails."""
 
     def __init__(self, longest: float) -> None:
-        """A channel is frozen after `longest` consecutive equal values, but at least
-        `FROZEN_RECORDS`. Channels other than softfin's two forces count only after two different
-        values other than 0, because a sensor may not measure them."""
+        """Start counting. A channel is frozen after `longest` consecutive equal values, but at
+        least `FROZEN_RECORDS`. Channels other than the x and y forces are checked only after two
+        different non-zero values, because the sensor may not measure them."""
         self._longest = max(longest, FROZEN_RECORDS)
         self._is_measured = np.arange(6) < 2
         self._values = np.full(6, np.nan)

@@ -1,8 +1,8 @@
-"""Run a controller on a machine: actions on the controller's clock, each based on the readings
-since the previous one.
+"""Runs a controller on a machine. Actions follow the clock of the controller, and each is based on
+the readings since the previous action.
 
 References can come from the user, a topic, the rows of a file or any function that returns the
-latest one.
+latest reference.
 """
 
 from bisect import bisect_right
@@ -22,8 +22,8 @@ ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
 """Function that returns the reference [N] at a time since the start [s]; called once per action."""
 
 ResolveReference = Callable[[MeasuredForce], tuple[MeasuredForce, str | None]]
-"""Function that maps a reference to the tracked one, with a warning if they differ; raises
-CoverageError if there is none."""
+"""Function that maps a reference to the tracked reference, with a warning if they differ; raises
+CoverageError if the reference cannot be tracked."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ def run_controller(
     actions: int | None = None,
     zero: MeasuredForce = (0.0, 0.0),
 ) -> Iterator[ActionResult]:
-    """Run `actions` actions, or until a stop if None; the session must be active and the fin at
-    rest.
+    """Run `actions` actions, or until a stop if it is None; the session must be active and the fin
+    at rest.
 
     `zero` [N], measured by `Session.rest`, is subtracted from the forces passed to the controller.
     """
@@ -69,7 +69,7 @@ def run_controller(
 
 
 class LiveReference:
-    """The latest reference from the user or a topic; may be set from any thread. References that
+    """The latest reference from the user or a topic, which any thread may set. References that
     cannot be tracked are ignored."""
 
     def __init__(
@@ -108,11 +108,11 @@ def recorded_reference(
     resolve: ResolveReference,
     report: Callable[[str], None],
 ) -> ReferenceSource:
-    """Return a source of the references in a file's rows, each valid from its time onwards. All are
-    resolved now, before anything moves."""
+    """Return a source of the references in the rows of a file, each valid from its time onwards.
+    All references are resolved now, before anything moves."""
     resolved = [resolve(each) for each in force]
     warnings = [warning for _, warning in resolved if warning is not None]
     if warnings:
         report(warnings[0] + (f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""))
-    # The tolerance makes a row apply at its own time despite rounding.
+    # With the tolerance, a row applies at its own time despite rounding.
     return lambda at: resolved[max(0, bisect_right(time, at + 1e-6) - 1)][0]

@@ -5,11 +5,10 @@ import math
 from collections.abc import Mapping
 
 MIN_CREDIT = 0.5
-"""Credit that is due to jitter or to the error of the rate, not to a record that came early."""
+"""Minimum credit that is not merely caused by jitter or an error in the rate."""
 
 CREDIT_RECORDS = 32
-"""Number of records after which credit that none of them needed expires; no driver sends more at
-once."""
+"""Number of records after which unused credit expires; no driver sends more records at once."""
 
 WARNED_SHARE = 0.01
 """Minimum share of lost and unusable records for a warning."""
@@ -18,7 +17,7 @@ WARNED_SHARE = 0.01
 def explain_losses(counters: Mapping[str, int]) -> str | None:
     """Return a warning with the share of lost and unusable records; None below `WARNED_SHARE`."""
     unusable = counters.get("sensor_malformed", 0)
-    # If records have numbers or timestamps, the lost ones already include the unusable ones.
+    # If records have numbers or timestamps, the lost records already include the unusable ones.
     lost = max(counters.get("sensor_lost", 0), unusable)
     sent = counters.get("sensor_records", 0) - unusable + lost
     if lost < max(WARNED_SHARE * sent, 1):
@@ -32,16 +31,16 @@ def explain_losses(counters: Mapping[str, int]) -> str | None:
 def wrapped_step(before: int, after: int) -> int:
     """Return the difference of two 32-bit sequence numbers, allowing for wrap-around; negative if
     the number went backwards."""
-    # Maps the difference to -2^31 .. 2^31 - 1.
+    # This maps the difference to -2^31 .. 2^31 - 1.
     return (after - before + 2**31) % 2**32 - 2**31
 
 
 class LossEstimate:
-    """Estimates losses from times that may be late: records that wait for each other are stamped in
-    a burst, and nothing is lost in the gap before the next burst.
+    """Estimates losses from times that may be late: records that are delivered together are stamped
+    in a burst, and no record is lost in the gap before the next burst.
 
-    A record that follows early earns credit for the next gap. The credit is zero again once the
-    records are on time, so that an error of the rate does not add up.
+    A record that arrives early earns credit for the next gap. The credit is reset to zero once the
+    records are on time, so that an error in the rate does not accumulate.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -51,10 +50,10 @@ class LossEstimate:
         self._lowest = math.inf
         """Lowest credit since it was last checked for expiry."""
         self._num_records = 0
-        """Number of records since then."""
+        """Number of records since this check."""
 
     def missing(self, elapsed_s: float) -> int:
-        """Return how many records are missing before the one that is `elapsed_s` later than its
+        """Return the number of records missing before a record that is `elapsed_s` later than its
         predecessor."""
         self._credit += 1 - elapsed_s * self._rate_hz
         missing = max(0, round(-self._credit))

@@ -1,7 +1,7 @@
 """Interface to a real fin driven by the 100 Hz loop: the rig, ROS 2 topics, or your own machine.
 
-All times are from `time.monotonic` [s], or from the machine's own `clock` if it has one. All calls
-come from the loop's thread, except that any thread may call `stop`.
+All times are from `time.monotonic` [s], or from the `clock` of the machine if it has one. All calls
+come from the thread of the loop, except that any thread may call `stop`.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "tor
 
 
 class Target(NamedTuple):
-    """A command to the drive: a `Command` as two Python floats."""
+    """A command to the drive: a `Command` with two Python floats."""
 
     angle: float
     """Target angle [rad]."""
@@ -33,11 +33,10 @@ class Target(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The latest readings of the drive and the force sensor, each with the time at which it is
-    valid."""
+    """The latest readings of the drive and the force sensor, each with its time."""
 
     time: float
-    """Time of the angle [s]; more than one tick old if no newer reading has arrived."""
+    """Time of the angle [s]; more than one tick ago if no newer reading has arrived."""
     angle: float
     """Shaft angle [rad]."""
     velocity: float
@@ -51,8 +50,8 @@ class Sample(NamedTuple):
     wrench: Wrench
     """Filtered force and torque [N, N m]."""
     complaints: tuple[str, ...]
-    """Faults reported by the devices, one line each, ending with the fix; empty if there are
-    none."""
+    """Faults reported by the devices, one line each, ending with the fix; empty if there are no
+    faults."""
     peak: Wrench | None = None
     """Peak magnitudes of the unfiltered wrench since the previous sample [N, N m]; None if only
     `wrench` is known."""
@@ -74,29 +73,29 @@ class Machine(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the operator before the fin moves, one line each, e.g. on its connection or on
-        anything unusual."""
+        """Notes for the operator before the fin moves, one line each, e.g. on the connection or on
+        unusual settings."""
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning that the motor may still be on after `stop`, with a fix; None if it is known to
-        be off."""
+        """Warning that the motor may still be on after `stop`, with a fix; None if the motor is
+        known to be off."""
 
     def open(self) -> None:
-        """Connect and configure, without moving; on failure, close again and raise RigError or
-        DeviceError."""
+        """Connect and configure the machine without moving the fin; on failure, close it and raise
+        RigError or DeviceError."""
 
     def read(self) -> Sample:
-        """Return the latest sample; called once per tick, must not wait longer than a few
+        """Return the latest sample. Called once per tick; must not wait longer than a few
         milliseconds."""
 
     def enable(self) -> None:
-        """Power the motor, which holds its position; raises DeviceError if the drive does not do
-        so."""
+        """Power the motor, which holds its position; raises DeviceError if the motor cannot be
+        powered."""
 
     def command(self, target: Target) -> None:
-        """Start moving to a target and return immediately; raises if the machine has not been
-        enabled since the last `stop`."""
+        """Start moving to a target and return immediately; raises an error if the machine has not
+        been enabled since the last `stop`."""
 
     def stop(self) -> None:
         """Brake as fast as the drive allows, then disable the motor; may be called repeatedly from
@@ -111,23 +110,23 @@ class Machine(Protocol):
 
 
 def machine_clock(machine: object) -> Clock:
-    """Return the clock used for a machine's timestamps: its `clock` attribute if it has one (e.g.
-    for simulated time), otherwise the real clock."""
+    """Return the clock used for the timestamps of a machine: its `clock` attribute if it has one
+    (e.g. for simulated time), otherwise the real clock."""
     clock: Clock = getattr(machine, "clock", REAL)
     return clock
 
 
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from the sensor axes to softfin's; `frame` contains the sensor axes
+    """Return the rotation from the sensor axes to softfin's axes; `frame` contains the sensor axes
     along +x and +y, e.g. ``y,-x``.
 
     The result is a rotation for every frame: if x and y are mirrored, e.g. in ``y,x``, the sensor
-    is mounted facing the other way, so z is reversed.
+    is mounted upside down, so z is reversed.
     """
     rows = np.zeros((2, 3))
     for row, axis in zip(rows, frame.split(","), strict=True):
         row["xy".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
-    # z = x cross y, so that the axes are right-handed.
+    # z = x cross y makes the axes right-handed.
     return np.vstack([rows, np.cross(*rows)])
 
 

@@ -1,5 +1,5 @@
-"""100 Hz ticks with absolute deadlines on the monotonic clock; counts lateness and skipped
-ticks."""
+"""100 Hz ticks with absolute deadlines on the monotonic clock, and statistics of their lateness and
+of skipped ticks."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from softfin.core.quantities import TICK_S
 
 BIN_S = 1e-4
 BINS = 1000
-"""Number of bins in the lateness histogram: 0.1 ms each; the last one includes everything later."""
+"""Number of bins in the lateness histogram, 0.1 ms each; the last bin includes all later ticks."""
 
 
 class Pace:
-    """Sleep until each tick; a late tick does not delay the following ones."""
+    """Sleeps until each tick; a late tick does not delay subsequent ticks."""
 
     def __init__(self, clock: Clock = REAL) -> None:
         self.clock = clock
@@ -34,7 +34,8 @@ class Pace:
             self.clock.sleep(left)
         late = self.clock() - self._next
         skipped = int(late / TICK_S)
-        # Stay on the grid of absolute deadlines: missed ticks are skipped and not run in a burst.
+        # Stay on the grid of absolute deadlines; missed ticks are skipped instead of run in a
+        # burst.
         self._next += (1 + skipped) * TICK_S
         self.ticks += 1
         self.skipped += skipped
@@ -45,7 +46,7 @@ class Pace:
     def to_dict(self) -> dict[str, int | float]:
         """Return the counts and the median, 99th percentile and maximum of the lateness for JSON;
         percentiles have a resolution of 0.1 ms."""
-        # A percentile is the upper edge of its bin, but not above the maximum.
+        # A percentile is the upper edge of its bin, but at most the maximum.
         reached = np.cumsum(self._late)
         p50, p99 = (
             min(

@@ -1,8 +1,8 @@
 """Proof that the drive stops by itself if softfin dies, tested with the motor powered and saved in
 the rig record.
 
-Nothing else stops a fin if its program is killed or hangs. Whether a drive does this depends on its
-settings and firmware, so a rig with a file must not move its fin before this proof.
+Nothing else stops a fin if its program is killed or hangs. Whether the drive stops by itself
+depends on its settings and firmware, so a rig with a file must not move its fin before this proof.
 """
 
 from collections.abc import Iterator
@@ -19,11 +19,11 @@ from softfin.storage.paths import typed_path
 
 
 def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
-    """Withhold heartbeats from the open drive, with its motor powered at standstill, and save the
-    proof in the rig record.
+    """Withhold heartbeats from the open drive, while its motor is powered at standstill, and save
+    the proof in the rig record.
 
-    Raises PausedError if the test is not valid, and DeviceError if the drive does not stop by
-    itself; an earlier proof is then removed.
+    Raises PausedError if the test is not valid. If the drive does not stop by itself, removes any
+    earlier proof and raises DeviceError.
     """
     with removed_on_failure(config):
         faulted_after_s = drive.prove_stop()
@@ -41,7 +41,7 @@ def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
 
 @contextmanager
 def removed_on_failure(config: RigConfig) -> Iterator[None]:
-    """Remove an earlier proof of the drive's own stop if a test of it fails in this context."""
+    """Remove an earlier proof that the drive stops by itself if a test fails in this context."""
     try:
         yield
     except PausedError:
@@ -57,10 +57,9 @@ def removed_on_failure(config: RigConfig) -> Iterator[None]:
 
 
 def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
-    """Return the proof for the open drive and these settings; raises RigError if there is
-    none.
+    """Return the proof for the open drive and these settings; raises RigError if there is no proof.
 
-    Returns None for a rig without a file, which was built in Python and has no record.
+    Returns None for a rig that was built in Python without a file, because it has no record.
     """
     if config.file is None:
         return None

@@ -1,9 +1,9 @@
-"""Trial of the drive's own stop in motion: the program that swings the fin is killed or suspended
-several times, and each time the drive must stop the fin by itself.
+"""Test whether a drive stops a moving fin by itself. The program that swings the fin is killed or
+suspended several times, and the drive must stop the fin each time.
 
-The program runs as a process of its own (``python -m softfin.rig.prove_moving RIG``), which writes
-the fin's angle at each tick. For a rig in simulated time, a session in this process falls silent
-instead. Afterwards, softfin is silent as well, because looking at some drives keeps them going.
+The program runs as a separate process (``python -m softfin.rig.prove_moving RIG``), which writes
+the fin angle at each tick. For a rig in simulated time, a session in this process falls silent
+instead. After the death, softfin is also silent, because reading some drives keeps them moving.
 """
 
 import math
@@ -31,49 +31,50 @@ from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
 
 DEATHS = 5
-"""Number of times that the program is killed, and that it is suspended."""
+"""Number of times that the program is killed, and also that it is suspended."""
 
 SWING_RAD = 0.3
-"""Amplitude of the swing around the fin's angle at rest [rad]."""
+"""Amplitude of the swing around the rest angle of the fin [rad]."""
 
 LEFT_RAD = 0.1
-"""Angle beyond the swing at which it is stopped [rad]."""
+"""Angle beyond the swing at which the fin is stopped [rad]."""
 
 FASTEST_RAD_S = 1.0
 """Maximum velocity of the swing [rad/s]."""
 
 WAY_RAD = 0.3
-"""Angle that the fin may turn after a death [rad]; with a longer heartbeat, the swing is slower."""
+"""Maximum rotation of the fin after a death [rad]; with a longer heartbeat, the swing is slower."""
 
 EARLY_RAD = 0.1
-"""Distance from the middle beyond which the program dies at the beginning of a stroke [rad]; a fin
+"""Distance from the middle beyond which the program dies at the beginning of a stroke [rad]. A fin
 that does not stop then turns by more than `WAY_RAD`, to the end of the swing."""
 
 MARGIN_S = 0.1
-"""Time for a drive's reaction, in addition to its heartbeat and its braking [s]."""
+"""Reaction time of a drive, in addition to the heartbeat and the braking time [s]."""
 
 STILL_S = 0.1
-"""Time for which the fin must not turn [s], and the tolerance for that [rad]."""
+"""Time for which the fin must not turn [s], and tolerance of the angle [rad]."""
 STOPPED_RAD = 0.01
 
 PROGRAM_STOP_S = 3.0
-"""Longest wait for the program to stop its fin [s]."""
+"""Maximum wait for the program to stop its fin [s]."""
 
 SIMULATED_WATCHDOG_S = 2.0
-"""Timeout of softfin's own watchdog while a death is simulated [s]; the drive must be first."""
+"""Timeout of softfin's own watchdog while a death is simulated [s]; the drive must react first."""
 
 
 class Swing(NamedTuple):
-    """A swing that suits a rig's limits and heartbeat."""
+    """A swing that suits the limits and heartbeat of a rig."""
 
     middle_rad: float
     velocity_rad_s: float
     silence_s: float
-    """Time within which a drive whose program died must stand still [s]."""
+    """Time within which the drive must be at a standstill after its program died [s]."""
 
     @classmethod
     def of(cls, config: RigConfig) -> "Swing":
-        """Return the swing of a rig; raises ConfigurationError if its range is too small."""
+        """Return the swing for a rig; raises ConfigurationError if the range of the rig is too
+        small."""
         drive = config.drive
         limits = drive.limits
         middle_rad = limits.rest_angle
@@ -89,12 +90,13 @@ class Swing(NamedTuple):
         braking_s = FASTEST_RAD_S / drive.acceleration_rad_s2
         silence_s = drive.heartbeat_s + braking_s + MARGIN_S
         velocity_rad_s = min(FASTEST_RAD_S, WAY_RAD / silence_s)
-        # Within the drive's limits, even if the fin then turns less or more than WAY_RAD.
+        # Stay within the limits of the drive, even if the fin then turns by less or more than
+        # WAY_RAD.
         velocity_rad_s = min(max(velocity_rad_s, limits.velocity_min), limits.velocity_max)
         return cls(middle_rad, velocity_rad_s, silence_s)
 
     def angles(self, session: Session) -> Iterator[float]:
-        """Swing the fin of an inactive session, and yield its angle at each tick [rad]."""
+        """Swing the fin of an inactive session and yield its angle at each tick [rad]."""
         self._check_inside(session, session.tick().angle)
         session.activate()
         session.rest(0.0)
@@ -135,11 +137,11 @@ def prove_moving(
     deaths: int = DEATHS,
     tell: Callable[[str], object] = lambda line: None,
 ) -> StopProof:
-    """Kill and suspend a program that swings the fin `deaths` times each, and add what was measured
-    to the proof of the drive's own stop, which must exist.
+    """Kill and suspend a program that swings the fin, `deaths` times each, and add the results to
+    the proof that the drive stops by itself, which must exist.
 
-    `rig` must be closed; `tell` is called with a line about each death. Raises DeviceError if the
-    drive does not stop in time; the proof is then removed. Raises SafetyStop if it was interrupted.
+    `rig` must be closed; `tell` is called with a line about each death. If the drive does not stop
+    in time, removes the proof and raises DeviceError. Raises SafetyStop if the test is interrupted.
     """
     config = rig.config
     clock = rig.clock
@@ -165,8 +167,8 @@ def prove_moving(
 
 @contextmanager
 def _switched_off_after_error(config: RigConfig, clock: Computer) -> Iterator[None]:
-    """Switch the motor off after any error; raises SafetyStop if it may still be on, or after an
-    interruption."""
+    """Switch the motor off after any error; raises SafetyStop if the motor may still be on, or
+    after an interruption."""
     try:
         yield
     except BaseException as error:
@@ -184,7 +186,7 @@ def _switched_off_after_error(config: RigConfig, clock: Computer) -> Iterator[No
 
 
 class _MortalRig(Rig):
-    """A rig whose program can die in simulated time: it then no longer reacts to a fault."""
+    """A rig whose program can die in simulated time and then no longer reacts to faults."""
 
     is_dead = False
 
@@ -195,7 +197,7 @@ class _MortalRig(Rig):
 
 def _try_death(config: RigConfig, clock: Computer, swing: Swing, number: signal.Signals) -> float:
     """Return the angle by which the fin turned after the death of the program [rad]."""
-    # At a random time in the drive's own cycles, from the first or a later stroke.
+    # Choose a random time in the cycles of the drive, in the first or a later stroke.
     ticks = random.randrange(2 * RATE_HZ)
     rig = _MortalRig(config, clock)
     if not clock.is_simulated:
@@ -231,8 +233,8 @@ def _kill_program(
             try:
                 last_angle = swing.until_death(map(_read_angle, process.stdout), ticks)
             except BaseException:
-                # At the end of its input, the program stops its fin; if it were killed, only the
-                # drive would.
+                # The program stops the fin when its input ends; if the program were killed, only
+                # the drive would stop the fin.
                 process.stdin.close()
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(PROGRAM_STOP_S)
@@ -240,7 +242,7 @@ def _kill_program(
             process.send_signal(number)
             died = COMPUTER()
             COMPUTER.sleep(swing.silence_s)
-            # Only the end of a suspended program releases its devices.
+            # A suspended program releases its devices only when it ends.
             process.kill()
             lines = process.stdout.read().splitlines()
             for line in lines:
@@ -260,8 +262,8 @@ def _read_angle(line: str) -> float:
 def _look(
     config: RigConfig, clock: Computer, swing: Swing, died_angle: float, silent_s: float
 ) -> float:
-    """Look at the drive after its program has died, and return the angle by which the fin turned
-    [rad]; raises DeviceError if the drive has not stopped it by itself."""
+    """Read the drive after its program has died, and return the angle by which the fin has turned
+    [rad]; raises DeviceError if the drive has not stopped the fin by itself."""
     rig = Rig(config, clock)
     drive = rig.drive
     began = rig.clock()

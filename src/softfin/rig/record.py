@@ -1,8 +1,8 @@
-"""The record of a rig, stored as JSON next to its file: rig.record.json for rig.yaml.
+"""The record of a rig, stored as JSON next to the rig file: rig.record.json for rig.yaml.
 
-The file describes the setup of a rig. The record contains what was measured on it: whether the
-drive stops by itself if softfin dies, and when the sensor zero was set. A rig built in Python
-without a file has no record.
+The file describes the setup of a rig. The record contains the results of tests on the rig: whether
+the drive stops by itself if softfin dies, and the sensor zero. A rig built in Python without a file
+has no record.
 """
 
 import json
@@ -23,7 +23,7 @@ class MovingProof(Configuration):
     model_config = ConfigDict(extra="ignore")
 
     deaths: int = Field(gt=0)
-    """Number of times."""
+    """Number of times that the program was killed or suspended."""
     velocity_rad_s: float = Field(gt=0)
     """Velocity of the swing [rad/s]."""
     way_median_rad: float
@@ -32,7 +32,7 @@ class MovingProof(Configuration):
 
     @property
     def text(self) -> str:
-        """The result in a few words."""
+        """Short summary of the result."""
         return (
             f"the fin turned {self.way_median_rad:.2f} rad, at most {self.way_worst_rad:.2f} rad, "
             f"after softfin had died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
@@ -40,8 +40,8 @@ class MovingProof(Configuration):
 
 
 class StopProof(Configuration):
-    """Proof that the drive stopped by itself when softfin's heartbeats ended while the motor was
-    powered."""
+    """Proof that the drive stopped by itself when the heartbeats from softfin ended while the motor
+    was powered."""
 
     date: str
     """Date and time, as ISO 8601."""
@@ -50,15 +50,16 @@ class StopProof(Configuration):
     heartbeat_s: float = Field(gt=0)
     """Value of `drive.heartbeat_s` during the test [s]."""
     host_node: int | None = Field(ge=1, le=127)
-    """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
+    """Node number of the heartbeats from softfin during the test; None if the bus has no such
+    numbers."""
     faulted_after_s: float = Field(ge=0)
-    """Time from the last heartbeat to the drive's fault [s]."""
+    """Time from the last heartbeat to the fault of the drive [s]."""
     moving: MovingProof | None = None
-    """Result of the same test with the fin in motion; None if it has not been done."""
+    """Result of the same test with a moving fin; None if it has not been run."""
 
 
 class ForceZero(Configuration):
-    """Record of the latest zero of the force sensor set by softfin."""
+    """Record of the latest force sensor zero set by softfin."""
 
     date: str
     """Date and time, as ISO 8601."""
@@ -69,12 +70,12 @@ class ForceZero(Configuration):
 
 
 class RigRecord(Configuration):
-    """Everything measured on one rig."""
+    """All test results of one rig."""
 
     stop_proof: StopProof | None = None
-    """Proof that the drive stops by itself; None if there is none."""
+    """Proof that the drive stops by itself; None if there is no proof."""
     force_zero: ForceZero | None = None
-    """Latest zero of the force; None if softfin has never set it."""
+    """Latest force zero; None if softfin has never set it."""
 
 
 def date_and_time() -> str:
@@ -88,8 +89,8 @@ def record_file(rig: Path) -> Path:
 
 
 def load_record(rig: Path | None) -> RigRecord:
-    """Load the record for a rig file, or an empty one if there is none; raises RigError if it is
-    invalid."""
+    """Load the record for a rig file, or return an empty record if there is none; raises RigError
+    if the record is invalid."""
     if rig is None or not record_file(rig).exists():
         return RigRecord()
     file = record_file(rig)
@@ -103,7 +104,7 @@ def load_record(rig: Path | None) -> RigRecord:
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
-    """Save the record for a rig file, unless the rig has no file; raises RunError if it cannot be
-    written."""
+    """Save the record for a rig file, unless the rig has no file; raises RunError if the record
+    cannot be written."""
     if rig is not None:
         artifacts.write_file(record_file(rig), record.model_dump_json(indent=2) + "\n")

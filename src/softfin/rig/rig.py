@@ -34,18 +34,18 @@ class Rig:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes from the sensor, and on devices that cannot be locked."""
+        """Notes from the sensor and on devices that cannot be locked."""
         lock_notes = (self.drive.device_lock.note, self.sensor.device_lock.note)
         return (*self.sensor.notes(), *(note for note in lock_notes if note is not None))
 
     def check_ready(self) -> None:
-        """Raise RigError unless it has been proved that the drive stops by itself if softfin dies;
+        """Raise RigError unless there is a proof that the drive stops by itself if softfin dies;
         the drive must be open."""
         check_proof(self.config, self.drive)
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning that the motor may still be on; None if it is confirmed to be off."""
+        """Warning that the motor may still be on; None if the motor is confirmed to be off."""
         return self.drive.stop_unconfirmed
 
     def open(self) -> None:
@@ -53,8 +53,8 @@ class Rig:
 
         Raises RigError if the force zero is from a different sensor or different settings.
         """
-        # The drive comes first: if another program is using the rig, this call fails before it
-        # takes over that program's sensor stream.
+        # The drive comes first: if a second program is using the rig, this call fails before it
+        # takes over the sensor stream of that program.
         self.drive.open()
         try:
             self.sensor.open()
@@ -65,7 +65,7 @@ class Rig:
             raise
 
     def read(self) -> Sample:
-        """Read the drive now, and return its values with the latest force received."""
+        """Read the drive now, and return its values with the latest received force."""
         drive = self.drive.read()
         force = self.sensor.read()
         return Sample(
@@ -76,8 +76,8 @@ class Rig:
 
     def enable(self) -> None:
         """Power the motor, which holds its position."""
-        # The first tick with power must check a current force, so keep reading the sensor's socket
-        # while the drive is being enabled.
+        # The first tick with power must check a current force, so keep reading the sensor while the
+        # drive is being enabled.
         self.drive.enable(meanwhile=self.sensor.keep_up)
 
     def command(self, target: Target) -> None:
@@ -116,8 +116,8 @@ def zero_angle(rig: Rig, confirm: Callable[[Rig], object] = lambda rig: None) ->
     """Set the fin's current angle to `drive.zero_offset_rad` (default 0); nothing moves.
 
     `confirm` is called after the drive is opened and before its motor may be powered. The result
-    contains `own_stop` if there is no valid proof of the drive's own stop with the new zero. The
-    rig is closed afterwards.
+    contains `own_stop` if there is no valid proof that the drive stops by itself with the new zero.
+    The rig is closed afterwards.
     """
     drive = rig.drive
     try:

@@ -20,17 +20,18 @@ class RobotSetup:
     settle_s: float = 5.0
     """Rest time before each log or experiment [s]."""
     configuration: JsonObject = field(default_factory=dict)
-    """Complete configuration, for JSON."""
+    """Complete configuration for JSON."""
 
     def check_ready(self) -> None:
-        """Raise RigError if the open machine must not move yet, according to its own `check_ready`
-        if it has one."""
+        """Raise RigError if the machine has a method `check_ready` and is not ready to move; it
+        must be open."""
         check = getattr(self.machine, "check_ready", None)
         if check is not None:
             check()
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
-        """Raise RigError if a controller is for a different fin or exceeds the machine limits."""
+        """Raise RigError if a controller is for a different fin or exceeds the limits of the
+        machine."""
         if None not in (fin, self.fin) and fin != self.fin:
             raise RigError(
                 f"{controller}: trained for fin {fin!r}, but this rig has fin {self.fin!r}; train "

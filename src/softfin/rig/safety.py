@@ -1,9 +1,9 @@
-"""Safety limits, checked by the session at every tick. A violation stops the fin; nothing is
+"""Safety limits, which the session checks at every tick. A violation stops the fin; nothing is
 clipped.
 
-The guard's input is samples and targets, its output is a reason to stop, and its only state is
-recent samples. Below it, the drive has its own limits (position, following error, current,
-heartbeat). Above it, a watchdog monitors the loop.
+The guard checks samples and targets and returns a reason to stop; its only state is recent samples.
+In addition, the drive has its own limits (position, following error, current, heartbeat), and a
+watchdog monitors the loop.
 """
 
 import math
@@ -19,7 +19,8 @@ from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
 
 OVERSHOOT_RAD = 0.15
-"""Angle beyond the command range that a fin may reach if stopped during a fast stroke [rad]."""
+"""Angle beyond the command range that a fin may reach if it is stopped during a fast stroke
+[rad]."""
 
 FORCE_PEAK_N = 30.0
 """Default of `SafetyConfig.force_peak_n` [N]."""
@@ -38,8 +39,8 @@ class SafetyConfig(Configuration):
     velocity_rad_s: PositiveFloat = 10.0
     """Maximum angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
-    """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the drive's profile
-    acceleration must not exceed it."""
+    """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the profile
+    acceleration of the drive must not exceed it."""
     force_peak_n: PositiveFloat = FORCE_PEAK_N
     """Maximum force on any axis at any time [N]. Above the default, the tolerances of the force at
     rest grow in proportion."""
@@ -50,7 +51,7 @@ class SafetyConfig(Configuration):
     torque_sustained_nm: PositiveFloat = 3.0
     """Maximum mean magnitude of the torque over 0.5 s [N m]."""
     current_peak_a: PositiveFloat | None = None
-    """Maximum motor current at any time [A]; required for a rig, None if the current is not
+    """Maximum motor current at any time [A]; required for a rig; None if the current is not
     measured."""
     current_sustained_a: PositiveFloat | None = None
     """Maximum mean motor current over 0.5 s [A]."""
@@ -61,17 +62,17 @@ class SafetyConfig(Configuration):
     following_rad: PositiveFloat = 0.2
     """Maximum following error that may last longer than `following_s` [rad]; 0.01 is typical in the
     virtual tank. If a fin is blocked during a stroke of less than twice this value, only the
-    current reveals it."""
+    current reveals the fault."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
-    """Longest time for which the following error may exceed `following_rad` [s]."""
+    """Maximum time for which the following error may exceed `following_rad` [s]."""
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
     """Maximum lateness of a tick [s]."""
     watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
     """Time without a tick after which the watchdog thread stops the machine [s]."""
     training_margin: float | None = Field(default=0.5, ge=0)
-    """Maximum distance of angle, velocity or force from the surrogate's training range, averaged
-    over 1 s, as a multiple of the range's width. The controller is untested beyond it. None
-    disables the check."""
+    """Maximum distance of angle, velocity or force from the training range of the surrogate,
+    averaged over 1 s, as a multiple of the width of the range. The controller is untested beyond
+    this distance. None disables the check."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "SafetyConfig":
@@ -111,7 +112,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
                 "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
                 "first",
             )
-        # The tolerance allows for a controller's rounding errors.
+        # The tolerance allows for rounding errors of the controller.
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
                 f"command_{name}",
@@ -122,7 +123,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
 
 
 class Guard:
-    """Check of each tick against the limits; returns the first violation."""
+    """Checks each tick against the limits and returns the first violation."""
 
     def __init__(
         self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None
@@ -133,15 +134,15 @@ class Guard:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all samples, so that conditions before a pause of the motor do not count after
-        it."""
+        """Forget all samples, so that conditions before the motor was off do not count
+        afterwards."""
         self._means = {name: _Mean(SUSTAINED_S) for name in ("force", "torque", "current")}
         self._outside = _Mean(1.0)
         self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
 
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
-        """Check a sample read at `now` [s], in a tick that was `late` [s]."""
+        """Check a sample that was read at `now` [s] in a tick that was late by `late` [s]."""
         config = self.config
         if sample.complaints:
             return Trip("device", sample.complaints[0])
@@ -208,7 +209,7 @@ class Guard:
                 "gear ratio",
             )
         velocities = self._velocities
-        # A repeated sample must not be counted twice: the time difference could become zero.
+        # A repeated sample must not be counted twice, because the time difference could be zero.
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
         # Mean acceleration over the last ticks, dv / dt.
@@ -238,7 +239,7 @@ class Guard:
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
         config = self.config
-        # Unfiltered peaks if they are known, because the filter hides short ones.
+        # Use unfiltered peaks if they are known, because the filter hides short peaks.
         peaks = sample.peak or sample.wrench
         wrench = sample.wrench
         current = () if sample.current is None else (sample.current,)
@@ -321,7 +322,7 @@ class _Mean:
 
 def accept_target(target: Target, limits: Limits) -> Target:
     """Return a target within the limits, which the drive enforces exactly; raises CommandError if
-    it is outside by more than rounding errors."""
+    the target is outside by more than rounding errors."""
     if trip := check_target(target, limits):
         raise CommandError(trip.reason)
     low_angle, high_angle, slowest, fastest = limits

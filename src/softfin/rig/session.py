@@ -1,8 +1,8 @@
-"""One session on a machine at 100 ticks per second, with the states unconfigured, inactive (reads
-but does not move), active (moves) and stopped.
+"""A session on a machine at 100 ticks per second. Its states are unconfigured, inactive (reads but
+does not move), active (moves) and stopped.
 
-Each tick waits, reads, checks, records and calls the observers. Any machine fault or error in this
-code first stops the machine and is then reported.
+Each tick waits, reads, checks, records and calls the observers. After any fault or error, the
+machine is first stopped, and then the problem is reported.
 """
 
 import contextlib
@@ -38,26 +38,26 @@ Observer = Callable[[Sample, Target | None], None]
 immediately."""
 
 FRESH_TICKS = 200
-"""Number of ticks before activation within which all checks must pass; a single one may take one
+"""Number of ticks before activation within which all checks must pass; a single tick may take one
 second on a busy computer."""
 
 GOOD_TICKS = 10
-"""Number of consecutive ticks at which all checks must pass before the motor is powered. One is not
-enough: after a pause, the first records are old ones from the socket, an empty filter needs 7 ticks
-to fill, and an intermittent fault could return when the motor is on."""
+"""Number of consecutive ticks at which all checks must pass before the motor is powered. One tick
+is not enough: after a pause, the first records from the socket are old, an empty filter needs 7
+ticks to fill, and an intermittent fault could return when the motor is on."""
 
 STILL_RAD = 0.03
 """Distance from the rest angle, and angular velocity, below which the shaft is at rest [rad,
 rad/s]."""
 
 SUSPENDED_S = 0.05
-"""Longest suspension of the computer that does not stop an active session [s]. The monotonic clock
-stops during a suspend, so afterwards no tick is late and no reading looks old, although the
-fin moved unsupervised."""
+"""Maximum suspension of the computer that does not stop an active session [s]. The monotonic clock
+stops during a suspend, so no tick is late and no reading seems old afterwards, although the fin
+moved unsupervised."""
 
 HOMING_S = 10.0
-"""Longest time to reach the rest angle [s]; from 90 degrees away, this takes 1.6 s at 1 rad/s. A
-slower fin is allowed twice the time that it needs."""
+"""Maximum time to reach the rest angle [s]; from 90 degrees, a fin takes 1.6 s at 1 rad/s. For a
+slower fin, the limit is twice the time that it needs."""
 
 
 class Session:
@@ -72,7 +72,8 @@ class Session:
         observers: Sequence[Observer] = (),
         warn: Warn = lambda line: None,
     ) -> None:
-        """`warn` is called at the end if many sensor records were lost or unusable."""
+        """Start unconfigured; `warn` is called at the end if many sensor records were lost or
+        unusable."""
         self.machine = machine
         self.guard = guard
         self.stop_request = stop or StopRequest()
@@ -98,7 +99,7 @@ class Session:
 
     def __enter__(self) -> "Session":
         self.machine.open()
-        # A machine that can never confirm a stop may still be used; only later changes of this
+        # A machine that can never confirm a stop may still be used; only later changes to this
         # warning are reported.
         self._never_confirmed = self.machine.stop_unconfirmed
         self.state = "inactive"
@@ -131,8 +132,7 @@ class Session:
             with contextlib.suppress(OSError):
                 self._warn(warning)
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
-            # Regardless of why the session ended, the operator must be told that the fin may not be
-            # safe.
+            # Regardless of why the session ended, warn the operator that the fin may not be safe.
             reason = (
                 "the session ended"
                 if error is None
@@ -141,7 +141,7 @@ class Session:
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
-        """Make Ctrl-C and the other stop signals request a stop until the machine is closed."""
+        """Make Ctrl-C and other stop signals request a stop until the machine is closed."""
         self._until_closed.enter_context(stopped_by_signals(self.stop_request))
 
     @contextmanager
@@ -193,18 +193,18 @@ class Session:
         slept_s = self.pace.clock.suspended() - self._suspended_s
         if self.state != "active":
             self._suspended_s += slept_s
-        # A stop by the operator comes first, because it is the real cause of everything that
-        # follows.
+        # A stop by the operator takes precedence, because it is the real cause of all subsequent
+        # faults.
         if trip := self.stop_request.trip or self.trip:
             return trip
         if self.recorder is not None and self.recorder.failure is not None:
             return Trip("recording", self.recorder.failure)
         if self.state != "active":
             return None
-        # Always called, because the guard keeps a history of samples.
+        # Always call the guard, because it keeps a history of samples.
         trip = self.guard.check(sample, now, late)
         if slept_s > SUSPENDED_S:
-            # This replaces the drive fault that the suspension has caused in the meantime.
+            # This replaces the drive fault caused by the suspension.
             return Trip(
                 "suspended",
                 f"the computer was suspended for {slept_s:.1f} s while the fin was active; start "
@@ -213,7 +213,7 @@ class Session:
         return trip
 
     def _record_sample(self, sample: Sample) -> None:
-        """Record the readings that are newer than those of the previous sample."""
+        """Record readings that are newer than the readings in the previous sample."""
         if self.recorder is None:
             return
         before = self.newest
@@ -225,13 +225,13 @@ class Session:
             self.recorder.wrench(sample.force_time, sample.wrench)
 
     def activate(self) -> None:
-        """Enable the drive, which holds its position; from now on the fin may move."""
+        """Enable the drive, which holds its position; from now on, the fin may move."""
         if self.state != "inactive":
             raise SafetyStop(
                 f"activate called while {self.state}: the session must be inactive; start a new one"
             )
-        # Exclude all existing objects from garbage collection, because one pass over them takes 100
-        # ms in a process with JAX.
+        # Exclude all existing objects from garbage collection, because one collection takes 100 ms
+        # in a process with JAX.
         gc.unfreeze()
         gc.collect()
         gc.freeze()
@@ -255,7 +255,7 @@ class Session:
 
     def deactivate(self) -> None:
         """Stop and disable the motor, e.g. for slow work before the next `activate`."""
-        # The watchdog must not take slow braking for a silent loop.
+        # The watchdog must not mistake slow braking for a silent loop.
         self._unwatch()
         self.machine.stop()
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
@@ -266,7 +266,7 @@ class Session:
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Send a command now; raises SafetyStop if it is outside the fin's limits or the drive
+        """Send a command now; raises SafetyStop if it is outside the limits of the fin or the drive
         refuses it."""
         trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
@@ -282,7 +282,7 @@ class Session:
             self.machine.stop()
             reason = in_one_line(error, "the machine refused the command")
             with contextlib.suppress(Exception):
-                # A drive in fault refuses commands; the fault is then the better reason.
+                # A drive in fault refuses commands, and the fault is a better reason for the stop.
                 reason = next(iter(self.machine.read().complaints), reason)
             self.abort(Trip("device", reason))
         self.target = target
@@ -302,8 +302,8 @@ class Session:
     def rest(self, seconds: float) -> MeasuredForce:
         """Move slowly to the rest angle and wait for `seconds` until the water is calm.
 
-        Return the mean force (x, y) over the second half of the wait [N]. The true force is zero
-        then, so this is the sensor offset for the next experiment. Drift changes the offset, so
+        Return the mean force (x, y) over the second half of the wait [N]. The true force is then
+        zero, so the mean is the sensor offset for the next experiment. Drift changes the offset, so
         it is measured before each experiment.
         """
         slowest = self.machine.limits.velocity_min
@@ -346,8 +346,8 @@ class Session:
         raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
 
     def _await_good_ticks(self) -> Sample:
-        """Tick until all checks pass for `GOOD_TICKS` ticks, because devices need a moment to
-        deliver new readings after a pause."""
+        """Tick until all checks have passed for `GOOD_TICKS` ticks, because devices need a moment
+        to deliver new readings after a pause."""
         good_ticks = 0
         latest_trip: Trip | None = None
         for _ in range(FRESH_TICKS):
@@ -363,7 +363,7 @@ class Session:
     def _leave(self, state: SessionState) -> None:
         """Change to a state in which the fin does not move."""
         if self.state == "active":
-            # Nothing may keep a stopped machine from being closed.
+            # Nothing may prevent a stopped machine from being closed.
             with contextlib.suppress(Exception):
                 self._counted.update(self.machine.counters())
         self.state = state
@@ -374,7 +374,7 @@ class Session:
             self._watchdog = None
 
     def _stop_silent_loop(self, silence: float) -> None:
-        """Stop the machine; called from the watchdog's thread."""
+        """Stop the machine; called from the watchdog thread."""
         if self.trip is None:
             self.trip = Trip(
                 "watchdog",
@@ -395,7 +395,8 @@ def mean_force(samples: Sequence[Sample]) -> MeasuredForce:
 
 
 def in_one_line(error: BaseException, what: str) -> str:
-    """Describe an error in one line, starting with `what` for errors that are not softfin's."""
+    """Describe an error in one line, which starts with `what` unless it is one of softfin's
+    errors."""
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"

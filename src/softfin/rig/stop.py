@@ -1,5 +1,5 @@
-"""Ways to stop a moving fin besides the safety limits: signals, the Enter key, and a watchdog on
-the loop."""
+"""Ways to stop a moving fin in addition to the safety limits: signals, the Enter key, and a
+watchdog on the loop."""
 
 import contextlib
 import signal
@@ -16,16 +16,15 @@ from softfin.core.errors import SafetyStop
 from softfin.rig.safety import Trip
 
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-"""Signals that stop the fin; the last one is Ctrl-Z, because a suspended program cannot monitor the
+"""Signals that stop the fin. The last is Ctrl-Z, because a suspended program cannot monitor the
 fin."""
 
 _Handlers: TypeAlias = dict[int, Callable[[int, FrameType | None], object] | int | None]
-"""Signal handlers by signal number, as in the module `signal`."""
+"""Signal handlers, keyed by signal number as in the module `signal`."""
 
 PATIENCE_S = 2.0
 """Time within which a second signal must not interrupt the stop started by the first [s], because
-people press Ctrl-C twice.
-"""
+people press Ctrl-C twice."""
 
 
 class StopRequest:
@@ -45,8 +44,8 @@ class StopRequest:
 
 @contextmanager
 def stopped_by_signals(request: StopRequest) -> Iterator[None]:
-    """Make stop signals set the flag instead of raising an exception somewhere in the loop; has an
-    effect only in the main thread."""
+    """Make stop signals set the flag instead of raising an exception in the loop; effective only in
+    the main thread."""
     asked: list[float] = []
 
     def handle(number: int, _: FrameType | None) -> None:
@@ -64,8 +63,8 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt on the first stop signal, so that code that powers a motor can stop
-    it.
+    """Raise KeyboardInterrupt on the first stop signal so that code that powers a motor can stop
+    the motor.
 
     Later signals are ignored, because they would interrupt the stop, which takes a bounded time.
     """
@@ -105,8 +104,8 @@ def undisturbed_after_stop() -> Iterator[None]:
 
 @contextmanager
 def ignored_termination() -> Iterator[None]:
-    """Ignore SIGTERM, which a second ``rig stop`` sends to the first; has an effect only in the
-    main thread."""
+    """Ignore SIGTERM, which a second ``rig stop`` sends to the first; effective only in the main
+    thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -119,8 +118,8 @@ def ignored_termination() -> Iterator[None]:
 
 @contextmanager
 def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[_Handlers]:
-    """Install a handler for the stop signals; yields the previous handlers. Has an effect only in
-    the main thread."""
+    """Install a handler for the stop signals and yield the previous handlers. Effective only in the
+    main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield {}
         return
@@ -162,7 +161,7 @@ def listen_to_keyboard(
 def discard_typed_ahead() -> None:
     """Discard keys typed before a question, if the input is a terminal."""
     with contextlib.suppress(ImportError, OSError):
-        # Imported here because Windows does not have it.
+        # Imported here because Windows does not have this module.
         import termios
 
         with contextlib.suppress(termios.error, TypeError, ValueError):
@@ -170,16 +169,16 @@ def discard_typed_ahead() -> None:
 
 
 SIGNAL_CHECK_S = 0.2
-"""Longest wait of the main thread for a lock [s]. The kernel may deliver a signal to another
+"""Maximum wait of the main thread for a lock [s]. The kernel may deliver a signal to a different
 thread, which does not wake the main thread, where Python handles signals."""
 
 
 class Watchdog:
     """A thread that stops the machine if the loop falls silent, e.g. because a controller hangs.
 
-    C code that holds the GIL blocks this thread as well. In that case, a rig drive stops the
-    motor by itself: it faults (0x8130) after `drive.heartbeat_s` without a host heartbeat. ROS 2
-    topics have no such protection: the fin's driver has to detect missing commands.
+    C code that holds the GIL also blocks this thread. In this case, a rig drive stops the motor by
+    itself: it faults (0x8130) after `drive.heartbeat_s` without a host heartbeat. ROS 2 topics have
+    no such protection: the driver of the fin must detect missing commands.
     """
 
     def __init__(
@@ -201,7 +200,8 @@ class Watchdog:
         self._ended.set()
 
     def _watch(self) -> None:
-        # Four checks per timeout, so that the stop is late by at most a quarter of it.
+        # Check four times per timeout, so that the stop is late by at most a quarter of the
+        # timeout.
         while not self._ended.wait(self._longest / 4):
             silence = self._clock() - self._fed
             if silence > self._longest:

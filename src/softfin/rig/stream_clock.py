@@ -1,4 +1,4 @@
-"""Times of the records in a sensor stream, from noisy timestamps or another clock."""
+"""Times of the records in a sensor stream, estimated from noisy timestamps or a second clock."""
 
 from collections import deque
 
@@ -9,17 +9,17 @@ class StreamClock:
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
-        """Measured rate once the stream has lasted 0.3 s; before that, the configured rate [Hz]."""
+        """Measured rate once the stream has lasted 0.3 s, and the configured rate before [Hz]."""
         self.measured_s = 0.0
         """Duration of the stream so far [s]."""
-        # The earliest estimate from the last 12 timestamps is used (about 0.1 s at one per tick),
-        # so that a delayed packet does not shift the times.
+        # The earliest estimate from the last 12 timestamps (about 0.1 s at one per tick) is used so
+        # that a delayed packet does not shift the times.
         self._stamps: deque[tuple[int, float]] = deque(maxlen=12)
         self._base: tuple[int, float] | None = None
 
     def restart(self) -> None:
-        """Forget the timestamps but keep the rate, because the record numbers jumped, perhaps by
-        more than the elapsed time."""
+        """Forget the timestamps but keep the rate, because the record numbers have jumped, possibly
+        by more than the elapsed time."""
         self._stamps.clear()
         self._base = None
 
@@ -35,7 +35,7 @@ class StreamClock:
         self._stamps.append((place, time))
 
     def estimate_time(self, place: int) -> float:
-        """Return the monotonic time of a position near the latest ones [s]."""
+        """Return the monotonic time of a position near the latest positions [s]."""
         # Every timestamp is late by an unknown delay, so the earliest estimate is the best.
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
 
@@ -48,13 +48,13 @@ class ShortestDelay:
 
     def __init__(self, clock_error: float) -> None:
         self._clock_error = clock_error
-        """Largest relative difference between the rates of the clocks."""
+        """Maximum relative difference between the rates of the clocks."""
         self._lowest: float | None = None
         self._received = 0.0
 
     def update(self, sent: float, received: float) -> float:
-        """Return the difference [s] after a message that was sent at a time on the other clock and
-        received at one on ours [s]."""
+        """Return the difference [s] after a message, given its send time on the other clock and its
+        reception time on our clock [s]."""
         difference = received - sent
         if self._lowest is not None:
             relaxed = self._lowest + self._clock_error * (received - self._received)

@@ -1,8 +1,8 @@
-"""A force sensor that streams records and whose zero softfin keeps: one filtered wrench per tick,
-in softfin's axes.
+"""A force sensor that streams records and whose zero softfin keeps. It provides one filtered wrench
+per tick in softfin's axes.
 
 The records come from a `RecordSource`, e.g. lines on a serial port or messages on a ROS 2 topic.
-softfin subtracts the zero, so that a restart of the sensor does not lose it.
+softfin subtracts the zero, so it is not lost when the sensor restarts.
 """
 
 import math
@@ -25,18 +25,19 @@ from softfin.rig.machine import Wrench, WrenchArray, rotated, rotation
 from softfin.rig.stream_clock import StreamClock
 
 FIRST_WAIT_S = 5.0
-"""Longest wait for the first record [s]; many Arduinos restart when their port is opened, and ROS 2
+"""Maximum wait for the first record [s]; many Arduinos restart when their port is opened, and ROS 2
 nodes need time to find each other."""
 
 SILENT_S = 1.5
-"""Time without a usable record after which the sensor counts as silent [s]; the loop's limit on the
-force's age is much shorter."""
+"""Time without a usable record after which the sensor is treated as silent [s]; the age limit for
+forces in the loop is much shorter."""
 
 MEASURED_S = 0.5
-"""Shortest time over which the rate is measured [s]."""
+"""Minimum time over which the rate is measured [s]."""
 
 PAUSE_S = 0.3
-"""Shortest pause between records while the sensor is opened that counts as a restart [s]."""
+"""Minimum pause between records that is treated as a restart while the sensor is being opened
+[s]."""
 
 KEPT_S = 2.0
 """Time after which unread records are dropped [s]."""
@@ -46,17 +47,18 @@ CONSTANT_S = 0.9
 that softfin reports a frozen channel within 1 s."""
 
 MALFORMED_RECORDS = 5
-"""Number of consecutive unusable records that is a fault; a single one is only counted."""
+"""Number of consecutive unusable records that is treated as a fault; a single unusable record is
+only counted."""
 
 
 class StreamedSensorConfig(ForceSensorConfig):
     """Settings of a sensor that streams records and whose zero softfin keeps."""
 
     rate_hz: float = Field(ge=10, le=1000)
-    """Records per second; softfin measures the rate when it opens the sensor and rejects a
-    deviation of more than 10%."""
+    """Number of records per second; softfin measures the rate when it opens the sensor and rejects
+    a deviation of more than 10%."""
     filter_delay_s: float = Field(ge=0, le=0.5)
-    """Delay of the sensor's own filter [s], by which softfin corrects the time of the force; no
+    """Delay of the filter in the sensor [s], by which softfin corrects the time of the force; no
     default, because it depends on the sensor and its settings."""
     cutoff_hz: float = Field(30.0, ge=10, le=40)
     """Cut-off frequency of the anti-alias filter (gain 1/2) [Hz]; not used at 100 records per
@@ -64,16 +66,15 @@ class StreamedSensorConfig(ForceSensorConfig):
 
     @property
     def is_filtered(self) -> bool:
-        """Whether softfin filters the records; at a rate below that of the log there is nothing to
-        filter."""
+        """Whether softfin filters the records; a rate at or below 100 Hz needs no filter."""
         return self.rate_hz > RATE_HZ
 
     def check_stale(self, force_stale_s: float) -> None:
-        """Raise ValueError if the force is usually older than a limit on its age [s]."""
+        """Raise ValueError if the usual age of the force exceeds a limit [s]."""
         filter_s = 0.0
         if self.is_filtered:
             filter_s = len(design(self.rate_hz, self.cutoff_hz)) // 2 / self.rate_hz
-        # As for other sensors, the filter may have to refill; and two records may be lost.
+        # As for other sensors, the filter may have to refill, and two records may be lost.
         needed = self.filter_delay_s + 3 * filter_s + max(2 * BRIDGED_S, 3 / self.rate_hz)
         if force_stale_s < needed:
             raise ValueError(
@@ -84,7 +85,7 @@ class StreamedSensorConfig(ForceSensorConfig):
 
 
 def queue_length(rate_hz: float) -> int:
-    """Return how many unread records a source keeps."""
+    """Return the number of unread records that a source keeps."""
     return max(100, round(KEPT_S * rate_hz))
 
 
@@ -94,9 +95,9 @@ class TimedWrench(NamedTuple):
     wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]."""
     missing: int
-    """Number of records that were lost or unusable since the previous one."""
+    """Number of records that were lost or unusable since the previous record."""
     time: float
-    """Time of the record [s]; may be too late, e.g. by the time that it took to arrive."""
+    """Time of the record [s]; may be late, e.g. by the transmission time."""
 
 
 class RecordSource(ABC):
@@ -105,13 +106,13 @@ class RecordSource(ABC):
     unit: str
     """Noun for a record in messages to the user, e.g. line."""
     remedy: str
-    """Fix if no records arrive, e.g. check its cable."""
+    """Fix for messages if no records arrive, e.g. check its cable."""
     constant_s = CONSTANT_S
     """Time for which a channel may keep its value [s]."""
 
     def __init__(self, name: str, *key: object) -> None:
-        """`name` of the sensor in messages, with its address, which is also the `key` of its
-        lock."""
+        """Start closed; `name` identifies the sensor in messages and contains its address, and
+        `key` identifies its lock."""
         self.name = name
         self.key = key
         self.identity: dict[str, str | None] = {}
@@ -122,12 +123,12 @@ class RecordSource(ABC):
 
     @property
     def trouble(self) -> str | None:
-        """Reason why no more records will arrive; None while they may."""
+        """Reason why no more records will arrive; None while records may still arrive."""
         return None
 
     @abstractmethod
     def open(self) -> None:
-        """Start receiving, with all counters at 0; raises RigError or DeviceError."""
+        """Start receiving, with all counters at 0; raises RigError or DeviceError on failure."""
 
     def restart(self) -> None:
         """Forget the records so far, because the sensor restarted while it was opened."""
@@ -139,15 +140,15 @@ class RecordSource(ABC):
         waiting."""
 
     def watch(self, rate_hz: float) -> None:  # noqa: B027
-        """Watch the delay of the records from now on, if `take` cannot correct it; called once
-        their rate has been measured."""
+        """Watch the delay of the records from now on if `take` cannot correct it; called once their
+        rate has been measured."""
 
     @abstractmethod
     def describe(self) -> str:
         """Describe the records in a few words, for `softfin rig check`."""
 
     def checks(self) -> Iterator[CheckResult]:
-        """Yield further lines for `softfin rig check`."""
+        """Yield additional lines for `softfin rig check`."""
         yield from ()
 
     @abstractmethod
@@ -156,7 +157,7 @@ class RecordSource(ABC):
 
     @abstractmethod
     def complaints(self) -> Sequence[str]:
-        """Return one line per fault, ending with its fix."""
+        """Return one line per fault, ending with the fix."""
 
     def notes(self) -> Sequence[str]:
         """Return notes for the operator, one line each."""
@@ -191,7 +192,7 @@ class StreamedSensor:
         self._newest: WrenchArray | None = None
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
-        """Times at which the first and the latest usable records were processed [s]."""
+        """Times at which the first and the latest usable record were processed [s]."""
         self._frozen = FrozenChannels(self._source.constant_s * self.config.rate_hz)
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
@@ -204,19 +205,19 @@ class StreamedSensor:
 
     @property
     def zero_wrench(self) -> Wrench:
-        """The wrench that is subtracted from every record, in the sensor axes [N, N m]."""
+        """Wrench that is subtracted from every record, in the sensor axes [N, N m]."""
         fx, fy, fz, tx, ty, tz = self._offset.tolist()
         return fx, fy, fz, tx, ty, tz
 
     @property
     def delay_s(self) -> float:
-        """Delay of the sensor's own filter and of softfin's [s]."""
+        """Total delay of the filter in the sensor and of softfin's filter [s]."""
         own = 0.0 if self._filter is None else self._filter.delay / self.times.rate_hz
         return self.config.filter_delay_s + own
 
     def open(self) -> None:
         """Open the source, wait for records and measure their rate; raises RigError if the records
-        do not match the configuration and DeviceError if none arrive."""
+        do not match the configuration, and DeviceError if no records arrive."""
         self.close()
         self.device_lock.acquire(self.clock)
         try:
@@ -276,7 +277,7 @@ class StreamedSensor:
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
         """Wait for `seconds`, then return the mean and standard deviation of the records received
-        in that time, in softfin's axes [N, N m]."""
+        during this time, in softfin's axes [N, N m]."""
         mean, deviation = self._mean(seconds)
         return rotated(mean, self._rotation), rotated(deviation, np.abs(self._rotation))
 
@@ -305,7 +306,7 @@ class StreamedSensor:
         return tuple(f"{self.name}: {line}" for line in lines)
 
     def notes(self) -> tuple[str, ...]:
-        """Return the notes of the source, and one if the sensor is slower than the log."""
+        """Return the notes of the source, and a note if the sensor is slower than the log."""
         notes = list(self._source.notes())
         if self.config.rate_hz < RATE_HZ:
             notes.append(
@@ -344,7 +345,7 @@ class StreamedSensor:
         if output is None:
             return
         moment = self.times.estimate_time(self._place) - self.delay_s
-        # The measured rate is still settling, but reported times must not go backwards.
+        # The measured rate has not settled yet, but reported times must not go backwards.
         latest = moment if self._force is None else max(moment, self._force[0])
         self._force = (latest, rotated(output - self._offset, self._rotation))
 
@@ -373,7 +374,8 @@ class StreamedSensor:
         def fits() -> bool:
             is_full = self._filter is None or self._filter.full
             is_measured = self.times.measured_s >= shortest_s and is_full
-            # The records of a sensor that is too slow look like those of one that loses many.
+            # The records of a sensor that is too slow cannot be distinguished from those of a
+            # sensor that loses many.
             has_rate = is_right(self.times.rate_hz) and is_right(self._arrival_rate_hz())
             return is_measured and has_rate
 
@@ -383,7 +385,7 @@ class StreamedSensor:
         self._await_first()
         self._wait(lambda: fits() or pauses(), 5.0 + shortest_s)
         if pauses():
-            # A restarting Arduino: the records so far were sent before its port was opened.
+            # An Arduino restarts, so the records so far were sent before its port was opened.
             self._reset()
             self._source.restart()
             self._await_first()
@@ -409,7 +411,7 @@ class StreamedSensor:
             raise DeviceError(f"{self.name}: {self._source.explain_silence()}")
 
     def _arrival_rate_hz(self) -> float:
-        """Return how many usable records have arrived per second [Hz]."""
+        """Return the rate at which usable records have arrived [Hz]."""
         elapsed_s = self._arrival - self._first_arrival
         return (self._received - 1) / elapsed_s if elapsed_s else 0.0
 

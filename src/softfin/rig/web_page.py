@@ -9,12 +9,12 @@ MAX_PAGE_BYTES = 256 * 1024
 """Maximum page size [bytes]; real pages are a few thousand bytes."""
 
 PAGE_TIMEOUT_S = 3.0
-"""Longest wait for the connection, and for each part of the response [s]."""
+"""Maximum wait for the connection and for each part of the response [s]."""
 
 
 def fetch_page(host: str, port: int, path: str) -> bytes | None:
     """Return a page of the sensor without following redirects; None if the sensor does not have
-    it."""
+    this page."""
     where = f"http://{host}:{port}{path}"
     try:
         connection = http.client.HTTPConnection(host, port, timeout=PAGE_TIMEOUT_S)

@@ -24,14 +24,14 @@ RIDGE = 1e-5
 error of 0.3 N in the weakest axis."""
 
 GRADIENT_STEPS = 10
-"""Number of projected gradient steps per call, if the wrench is out of reach."""
+"""Number of projected gradient steps per call if the wrench is out of reach."""
 
 TOUCHING = 1e-6
 SETTLING = 20
 
 GIVEN_UP = 0.03
-"""Fraction of the wrench above which a missing component counts as given up [-], if it also exceeds
-`SMALL`."""
+"""Fraction of the wrench above which a missing component is treated as given up [-] if it also
+exceeds `SMALL`."""
 
 SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
 """[N, N m]"""
@@ -46,7 +46,7 @@ class Allocation(NamedTuple):
     """Forces for the fins, and the resulting wrench."""
 
     forces: FinForces
-    """Mean force of each fin, in the fin's axes [N]."""
+    """Mean force of each fin in fin axes [N]."""
     wrench: SixVector
     """Total wrench of these forces, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]
@@ -88,8 +88,8 @@ class Allocator:
         self._descend = np.eye(len(self._scale)) - self._step * normal
 
     def reach_along(self, axis: int) -> float:
-        """Return the maximum force or moment along one axis with none along the others [N, N m], to
-        within 1%."""
+        """Return the maximum force or moment along one axis with none along the other axes [N, N
+        m], to within 1%."""
         unit = np.eye(6)[axis]
         low = 0.0
         high = float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
@@ -109,8 +109,8 @@ class Allocator:
     ) -> Allocation:
         """Allocate a wrench in body axes [N, N m]; every finite wrench has a solution.
 
-        If it is out of reach, the search starts from the forces `start`, such as those of the
-        previous action.
+        If the wrench is out of reach, the search starts from the forces `start`, such as the forces
+        of the previous action.
         """
         near = self._over_reach(preferred)
         parts = near + self._gain @ (wrench - self.matrix @ (near * self._scale))
@@ -151,6 +151,6 @@ class Allocator:
 
 
 def _clipped(parts: MatrixColumns) -> MatrixColumns:
-    # Viewed as complex numbers, so that NumPy computes all lengths in one call.
+    # View the forces as complex numbers so that NumPy computes all lengths in one call.
     pairs = parts.view(complex)
     return np.asarray((pairs / np.maximum(np.abs(pairs), 1)).view(float))

@@ -1,5 +1,5 @@
-"""Bracing: fins push against each other so that no fin's force becomes too weak to have a steady
-direction. NumPy only.
+"""Bracing: fins push against each other so that no force becomes too weak for a steady direction.
+NumPy only.
 
 Converts a wrench to the mean force of each fin [N], once per action: allocation, bracing,
 smoothing.
@@ -23,12 +23,12 @@ EFFORT = 0.02
 """Cost of a squared force relative to the cost of a squared shortfall below `brace_n`."""
 
 BRACE_CHANGE_N2 = 1.0
-"""Cost of changing the bracing, which swings fins around, relative to that of a squared force error
-[N2]."""
+"""Cost of changing the bracing, which swings fins around, relative to the cost of a squared force
+error [N2]."""
 
 SMOOTHING = 0.5
-"""Fraction of a change of the forces that is postponed to the next action: a swing spread over two
-actions causes half the disturbance and a delay of half an action."""
+"""Fraction of a force change that is postponed to the next action; a swing spread over two actions
+causes half the disturbance and a delay of half an action."""
 
 SAME_N = 1e-6
 """Force difference below which two bracings are treated as the same [N]."""
@@ -48,7 +48,7 @@ class BracedAllocation:
         self._braces = self._bracing()
 
     def declare_dead(self, fin: int) -> None:
-        """Stop using a fin; the others produce as much of the wrench as they can."""
+        """Stop using a fin; the other fins produce as much of the wrench as possible."""
         self.dead = (*self.dead, fin)
         reach = self.allocator.reach.copy()
         reach[fin] = 0
@@ -103,8 +103,8 @@ class BracedAllocation:
         lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        # Compare forces and not indices: after a fin's death the directions differ, and the current
-        # bracing may not be among them.
+        # Compare forces instead of indices: after the death of a fin, the directions differ, and
+        # the current bracing may not be among them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
         costs[unchanged] -= BRACE_CHANGE_N2
         # Round, so that the first of several equal costs is chosen regardless of differences in the
@@ -113,8 +113,8 @@ class BracedAllocation:
 
 
 def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:
-    """Return two directions that produce no wrench: the one closest to y of the last fin, and one
-    perpendicular to it; 0 if there is none.
+    """Return two directions that produce no wrench: the direction closest to y of the last fin, and
+    a perpendicular direction; 0 if no such direction exists.
 
     The rows of `free` span all such directions, but their rotation within the span depends on the
     linear algebra library.

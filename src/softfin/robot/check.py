@@ -9,7 +9,7 @@ from softfin.robot.allocation import Allocator
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 
 WEAK = 1e-3
-"""Fraction of the largest singular value below which singular values count as zero."""
+"""Fraction of the largest singular value below which singular values are treated as zero."""
 
 
 def check_robot(robot: RobotConfig, max_thrust_n: Sequence[float]) -> JsonObject:

@@ -1,4 +1,4 @@
-"""The robot's file: fins and allocation. `ucat` is built in. Does not import JAX."""
+"""The robot file: fins and allocation. `ucat` is built in. This module does not import JAX."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -30,12 +30,12 @@ per fin name."""
 
 
 class FinMountConfig(Configuration):
-    """A fin's mount on the body."""
+    """The mount of a fin on the body."""
 
     position_m: Three
-    """Position of the shaft, where the fin's force acts [m]."""
+    """Position of the shaft, where the fin force acts [m]."""
     zero_direction: Three
-    """Unit vector of the fin's thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
+    """Unit vector of the fin thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
     shaft_axis: Three
     """Unit vector along the shaft; positive angles follow the right-hand rule."""
 
@@ -57,7 +57,7 @@ class FinMountConfig(Configuration):
         return self
 
     def axes(self) -> Float[np.ndarray, "3 2"]:
-        """Return the x and y axes of the fin's forces, as columns in body axes."""
+        """Return the x and y axes of the fin force as columns in body axes."""
         x = np.asarray(self.zero_direction)
         shaft = np.asarray(self.shaft_axis)
         # A positive angle turns thrust from +x towards -y.
@@ -71,9 +71,9 @@ class AllocationConfig(Configuration):
     """Cost of a squared wrench error for each axis; 1 N m costs about as much as 5 N, because a
     tilted robot pushes in the wrong direction."""
     brace_n: NonNegativeFloat = 1.5
-    """Minimum force of each fin, as far as the others can cancel it [N]. The direction of a weak
-    force jumps with every small change of the wrench, and a fin that swings around pushes sideways.
-    0 means no bracing."""
+    """Minimum force of each fin, as far as the other fins can cancel it [N]. The direction of a
+    weak force jumps with every small change of the wrench, and a fin that swings around pushes
+    sideways. 0 means no bracing."""
 
 
 class RobotConfig(Configuration):
@@ -102,7 +102,7 @@ class RobotConfig(Configuration):
 
 
 def max_thrust_per_fin(robot: RobotConfig, max_thrust: MaxThrust | None) -> list[float]:
-    """Return the maximum mean force of each fin [N]; raises ConfigurationError if one is
+    """Return the maximum mean force of each fin [N]; raises ConfigurationError if a value is
     missing."""
     names = list(robot.fins)
     if max_thrust is None:
@@ -121,8 +121,8 @@ def max_thrust_per_fin(robot: RobotConfig, max_thrust: MaxThrust | None) -> list
 
 
 def load_robot(name: str) -> RobotConfig:
-    """Load a built-in robot or a YAML file; raises ConfigurationError with a one-line message if
-    that fails."""
+    """Load a built-in robot or a YAML file; raises ConfigurationError with a one-line message on
+    failure."""
     if name in BUILT_IN:
         text = files("softfin.robot").joinpath(f"robots/{name}.yaml").read_text()
         return RobotConfig.build(parse_yaml(text), name)

@@ -1,8 +1,9 @@
-"""Evaluation of a robot's node in simulation: a target wrench in, the wrench of simulated fins out.
+"""Evaluation of a robot node in simulation: compares target wrenches with the wrenches of simulated
+fins.
 
 The chain is the same as in `softfin robot ros2`: `FinReferences` distributes the wrench, and the
 controller of each fin tracks its reference at its own clock, as in a separate `softfin ros2`
-process. The body does not move, and each fin beats in a tank.
+process. The body does not move, and each fin moves in its own tank.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +36,7 @@ PART_OF_REACH = 0.7
 """Fraction of each fin's maximum thrust within which the fin forces of targets are drawn."""
 
 WINDOWS = 10
-"""Number of windows for which each target is held, from rest; the errors are those of the second
+"""Number of windows for which each target is held, from rest; errors are computed over the second
 half."""
 
 ReportPart: TypeAlias = Callable[[float, str], None]
@@ -43,7 +44,7 @@ ReportPart: TypeAlias = Callable[[float, str], None]
 
 
 class RobotEvaluateConfig(Configuration):
-    """Configuration of a robot's evaluation."""
+    """Configuration of the evaluation of a robot."""
 
     max_thrust: MaxThrust | None = None
     """Maximum mean force that each fin can produce in every direction [N]: one number for all, or
@@ -87,7 +88,7 @@ def evaluate_robot(
     matrix = robot.matrix()
     random = named_generator(config.seed, "robot/starts")
     for index, (fin, (name, mount)) in enumerate(zip(fins, robot.fins.items(), strict=True)):
-        # A fin's node does not know the phases of the others.
+        # The node of a fin does not know the phases of the other fins.
         starts = random.integers(fin.controller.clock.window_ticks, size=config.repeats)
         if index in dead:
             continue
@@ -95,7 +96,7 @@ def evaluate_robot(
         key = named_key(config.seed, f"robot/{name}")
         forces, torques = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
         wrench += forces @ matrix[:, 2 * index : 2 * index + 2].T
-        # The fin's torque about its shaft adds to the moment of its force.
+        # The torque of the fin about its shaft adds to the moment of its force.
         wrench[..., 3:] += torques[..., None] * np.asarray(mount.shaft_axis)
     report(1.0, "")
     counted = wrench[:, :, ticks // 2 :]
@@ -117,8 +118,8 @@ def evaluate_robot(
 
 
 def find_dead(robot: RobotConfig, name: str | None) -> tuple[int, ...]:
-    """Return the indices of the dead fins: one or none; raises ConfigurationError for an unknown
-    fin, and for the only one."""
+    """Return the indices of the dead fins (at most one); raises ConfigurationError if the fin is
+    unknown or the only fin."""
     if name is None:
         return ()
     names = list(robot.fins)
@@ -168,8 +169,8 @@ def track_references(
     references: Float[np.ndarray, "targets actions fins 2"],
     dead: Sequence[int],
 ) -> Float[np.ndarray, "targets actions fins 2"]:
-    """Return the forces that the fins track [N]: like a fin's own node, replace unreachable
-    references by the nearest reachable force."""
+    """Return the forces that the fins track [N]; as in the node of a fin, unreachable references
+    are replaced by the nearest reachable force."""
     tracked = references.copy()
     for index, fin in enumerate(fins):
         if index not in dead:
@@ -191,8 +192,8 @@ def fin_loads(
     """Return the force [N] of a fin on its mount and the torque about its shaft [N m] in every tick
     of the node.
 
-    The fin is at rest until its start, a number of ticks after that of the node. At each of its
-    actions, its controller tracks the newest of the node's `references`.
+    The fin is at rest until it starts, a number of ticks after the node. At each action, its
+    controller tracks the latest of the `references` from the node.
     """
     clock = fin.controller.clock
     actions = clock.actions_within(ticks)
@@ -211,8 +212,8 @@ def fin_loads(
 def newest_references(
     clock: ActionClock, starts: Int[np.ndarray, "repeats"], actions: int, num_references: int
 ) -> Int[np.ndarray, "repeats actions"]:
-    """Return the index of the node's newest reference at each action of a fin that starts a number
-    of ticks after the node."""
+    """Return the index of the latest reference from the node at each action of a fin that starts a
+    number of ticks after the node."""
     fin_ticks = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
     sent_ticks = np.cumsum([0, *NODE_CLOCK.action_ticks(num_references)])[:-1]
     now = starts[:, None] + fin_ticks

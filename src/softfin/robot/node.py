@@ -1,5 +1,5 @@
-"""A robot's ROS 2 node: converts a target wrench to one reference force for each fin's node. Needs
-NumPy only.
+"""The ROS 2 node of a robot, which converts a target wrench to one reference force for the node of
+each fin. NumPy only.
 
 Each fin is a separate `softfin ros2` process with its own session, safety limits and recording.
 This node does not move anything itself: it allocates the wrench to the fins, monitors whether they
@@ -32,18 +32,18 @@ from softfin.robot.references import NODE_CLOCK, FinReferences
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 STOPPING_S = 3.0
-"""Longest time for which stop messages are sent until the fins fall silent [s]; a fin brakes and
+"""Maximum time for which stop messages are sent until the fins are silent [s]; a fin brakes and
 powers off within one or two seconds."""
 
 QUIET_S = 0.5
-"""Time without messages after which a fin that received a stop counts as stopped [s]."""
+"""Time without messages after which a fin that received a stop is treated as stopped [s]."""
 
 WRENCH_LIMIT = 1e6
 """Magnitude above which a wrench is rejected as invalid [N, N m]."""
 
 
 class FinTopics:
-    """Topics of one fin's node used by this node."""
+    """Topics of the node of one fin that this node uses."""
 
     def __init__(self, transport: Transport, name: str, prefix: str) -> None:
         self.name = name
@@ -53,16 +53,16 @@ class FinTopics:
         self.reference_topic = topics["reference_topic"]
         self.reference: Publisher = transport.publish(self.reference_topic, WRENCH_STAMPED)
         self.stop: Publisher = transport.publish(self.stop_topic, BOOL)
-        # Not stamped, because any message shows that the fin is alive; the fin's own safety limits
-        # check the age of its readings.
+        # Stamps are not used because any message shows that the fin is alive; the safety limits of
+        # the fin check the age of its readings.
         self._joint = Subscription(
             transport, self.joint_topic, JOINT_STATE, lambda message: None, stamped=False
         )
         self.last_s: float | None = None
-        """Time of the fin's latest message [s]; None before the first."""
+        """Time of the latest message from the fin [s]; None before the first message."""
 
     def listen(self) -> None:
-        """Process received messages; raises DeviceError if none can be received any more."""
+        """Process received messages; raises DeviceError if no more messages can be received."""
         if taken := self._joint.take():
             self.last_s = taken[-1][0]
 
@@ -80,7 +80,7 @@ class FinTopics:
 
 
 class RobotNode:
-    """Node that converts wrenches to references for the fins, once per action, until it is
+    """Node that converts wrenches to references for the fins once per action until it is
     stopped."""
 
     def __init__(
@@ -109,13 +109,13 @@ class RobotNode:
         self._stop = EmergencyStop(transport, config.stop_topic, self._once)
 
     def run(self, request: StopRequest) -> None:
-        """Wait for the fins, then send references until a stop; in any case, tell every fin to stop
-        at the end.
+        """Wait for the fins, then send references until a stop; always send a stop to every fin at
+        the end.
 
         Raises:
-            SafetyStop: a stop was requested, wrenches ended and `reference_lost` is stop, or a
+            SafetyStop: If a stop was requested, wrenches ended and `reference_lost` is stop, or a
                 fin is silent and `silent_fin` is stop.
-            DeviceError: not all fins were found within `wait_s`.
+            DeviceError: If not all fins were found within `wait_s`.
         """
         pace = Pace(self._clock)
         try:
@@ -160,7 +160,7 @@ class RobotNode:
         """Forward stops and check for silent fins, at every 10 ms tick; raises SafetyStop."""
         self._listen(request)
         if self._wrenches.is_lost and self.config.reference_lost == "stop":
-            # A robot without its radio link or operator must not keep swimming.
+            # A robot without its radio link or operator must not keep moving.
             reason = (
                 f"{self.config.reference_topic}: no wrench for "
                 f"{self.config.reference_timeout_s:g} s"
@@ -179,8 +179,7 @@ class RobotNode:
                 self._declare_dead(number, reason)
 
     def _await_fins(self, pace: Pace, request: StopRequest) -> None:
-        """Wait until every fin publishes and subscribes; those that do not are treated as
-        silent."""
+        """Wait until every fin publishes and subscribes; fins that do not are treated as silent."""
         self._once.report(
             f"{self.robot.name}: waiting for {', '.join(fin.joint_topic for fin in self.fins)}"
         )
@@ -224,7 +223,7 @@ class RobotNode:
         )
 
     def _stop_fins(self, pace: Pace) -> None:
-        """Tell every fin to stop until all are silent, and report those that are not."""
+        """Send stops to every fin until all are silent, and report fins that are not."""
         deadline = self._clock() + STOPPING_S
         while True:
             for fin in self.fins:

@@ -1,4 +1,4 @@
-"""Configuration of a robot's ROS 2 node: its topics and frame, and the forces of its fins."""
+"""Configuration of the ROS 2 node of a robot: topics, frame, and forces of the fins."""
 
 from typing import Literal
 
@@ -10,7 +10,7 @@ from softfin.robot.description import MaxThrust
 
 
 class RobotNodeConfig(Configuration):
-    """Topics and frame of a robot's node, and the forces of its fins.
+    """Topics and frame of the node of a robot, and forces of the fins.
 
     `vehicle_frame_id` and `max_thrust` have the same meaning as in auv_controllers; the allocation
     matrix (`tam`) and names (`thrusters`) of that package are derived from the robot's file here.
@@ -20,9 +20,9 @@ class RobotNodeConfig(Configuration):
     """geometry_msgs/WrenchStamped: target wrench, with force [N] and torque about the origin [N
     m]."""
     wrench_topic: TopicName = "/robot/wrench"
-    """geometry_msgs/WrenchStamped: total wrench of the fins' references."""
+    """geometry_msgs/WrenchStamped: total wrench of the fin references."""
     saturated_topic: TopicName = "/robot/saturated"
-    """std_msgs/Bool: true if part of the target wrench is out of the fins' reach."""
+    """std_msgs/Bool: true if part of the target wrench is out of reach."""
     stop_topic: TopicName = "/robot/stop"
     """std_msgs/Bool: true stops every fin and this node; false does not cancel the stop."""
     vehicle_frame_id: str = "base_link"
@@ -41,7 +41,7 @@ class RobotNodeConfig(Configuration):
     fin_timeout_s: PositiveFloat = 0.5
     """Time without joint_states after which a fin counts as silent [s]."""
     wait_s: PositiveFloat = Field(default=60.0, le=600)
-    """Longest wait for all fins at the start [s]."""
+    """Maximum wait for all fins at the start [s]."""
     connection: TransportConfig = Field(
         default_factory=lambda: TransportConfig(node="softfin_robot")
     )

@@ -1,4 +1,5 @@
-"""One action of a robot's node: a target wrench in, one reference force per fin out. NumPy only.
+"""One action of a robot node, which converts a target wrench to one reference force per fin. NumPy
+only.
 
 The ROS 2 node and `robot evaluate` both run this code.
 """
@@ -33,7 +34,7 @@ class FinReferences:
         return self._allocation.dead
 
     def declare_dead(self, fin: int) -> None:
-        """Stop using a fin; the others produce as much of the wrench as they can."""
+        """Stop using a fin; the other fins produce as much of the wrench as possible."""
         self._allocation.declare_dead(fin)
 
     def act(self, wrench: SixVector | None) -> Allocation:
@@ -42,7 +43,7 @@ class FinReferences:
         Without a wrench, all references are 0.
         """
         if wrench is None:
-            # Without this, fins that brace each other would keep beating without a target.
+            # Otherwise, fins that brace each other would keep moving without a target.
             allocation = Allocation(self._rest, np.zeros(6), np.zeros(6, bool))
         else:
             allocation, self._brace = self._allocation.share(wrench, self._forces, self._brace)

@@ -1,1 +1,1 @@
-"""The stages of the main job as functions of folders: the Python API."""
+"""The stages of the pipeline as functions that read and write folders: the Python API."""

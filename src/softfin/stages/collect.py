@@ -1,4 +1,4 @@
-"""Record the motions of a plant as a dataset (paper Sec. III-A)."""
+"""Records the motion of a plant as a dataset (paper Sec. III-A)."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -48,7 +48,7 @@ def collect(
         rows: Readings per log, at 100 Hz (default: 20000, as in the paper).
         seed: Seed for commands, noise and conditions (default: 0).
         config: `CollectConfig`; its fields are options too, such as --excitation.hold-min-s 0.2.
-        resume: Continue after the last complete log (real fins only).
+        resume: Resume after the last complete log (real fins only).
         arm: Allow the real fin to move, after you confirm on the terminal.
         yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
         overwrite: Replace existing output, and discard an unfinished run.

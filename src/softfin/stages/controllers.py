@@ -1,5 +1,5 @@
-"""Stages that produce a controller: find gaits for the forces that a fin can produce, train
-policies (paper Sec. III-C), or export one to ONNX."""
+"""Stages for controllers: find gaits for the reachable forces of a fin, train policies (paper Sec.
+III-C), and export a controller to ONNX."""
 
 import math
 from collections.abc import Sequence
@@ -35,17 +35,18 @@ if TYPE_CHECKING:
     from softfin.core.action_clock import ActionClock
 
 AUTO = "auto"
-"""Clock for the fin's stroke time."""
+"""Option value for a clock that suits the stroke time of the fin."""
 
 CLOCK = Parameter(metavar="HZ[,S]")
 
 MAX_ERROR_SHARE = 0.5
-"""Largest error of a useful controller, divided by its target forces."""
+"""Maximum error of a useful controller, divided by the target forces."""
 
 
 def find_clock(text: str | None, plant: PlantLike) -> "ActionClock | None":
-    """Return the clock of ``--clock`` for a plant: that of its stroke time for ``auto``; raises
-    ConfigurationError if there is no such clock, or if the stroke time is unknown."""
+    """Return the clock for the text of ``--clock``; for ``auto``, it depends on the stroke time of
+    the plant. Raises ConfigurationError if there is no such clock, or if the stroke time is
+    unknown."""
     from softfin.core.action_clock import ActionClock
 
     if text is None:
@@ -207,14 +208,15 @@ def train(
     from softfin.storage.run_directory import RunDirectory
     from softfin.surrogate.channels import learnt_from
 
-    # The layout may be in the file.
+    # The layout may be set in the file.
     layout = configure(TRAIN_PRESETS["single"], config, controller=controller).controller
     preset = TRAIN_PRESETS[layout]
     if chosen_clock is not None:
         preset = for_clock(preset, chosen_clock)
     settings = configure(preset, config, controller=controller, range=range, steps=steps)
     if chosen_clock is not None and settings.task.clock != chosen_clock:
-        # The option wins over the file, whose numbers of actions are scaled; what was typed is not.
+        # The option overrides the file. Numbers of actions from the file are scaled, but typed
+        # numbers are not.
         settings = for_clock(settings, chosen_clock)
         typed = config._replace(file=None) if isinstance(config, Changes) else None
         settings = configure(settings, typed, steps=steps)
@@ -226,8 +228,9 @@ def train(
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        # The corners are not pushed outwards, because that takes most of a survey's time and needs
-        # gradients, which a user's simulator may lack. The area is about 5% smaller.
+        # The corners are not pushed outwards, because this takes most of the time of a survey and
+        # needs gradients, which a user's simulator may lack. The area is about 5% smaller as a
+        # result.
         without_pushes = SurveyConfig(pushes=0)
         surveyed = survey(plant, without_pushes, partial(progress, "survey"), settings.task.clock)
         check_usable(plant, surveyed.reachable)

@@ -1,6 +1,7 @@
-"""Check the computer that softfin runs on: packages, JAX, cache, disk, and the ports of a rig.
+"""Checks the computer on which softfin runs: packages, JAX, cache, disk, and the ports of a rig.
 
-Nothing moves, and temporary files are removed immediately. You can paste the output into an issue.
+Nothing moves, and temporary files are removed immediately. You can paste the output into a bug
+report.
 """
 
 import os
@@ -35,10 +36,10 @@ def doctor() -> Iterator[CheckResult]:
     the output into bug reports. For a rig, use softfin rig check.
 
     Yields:
-        Each result as soon as it is available, with the user's home folder shortened to ~.
+        Each result as soon as it is available; the home folder of the user is shortened to ~.
 
     Raises:
-        RunError: A check has failed.
+        RunError: If a check has failed.
     """
     home = os.environ.get("HOME", "/")
     for result in failing(_examine(), RunError):
@@ -77,7 +78,7 @@ def _jax() -> CheckResult:
         devices = jax.devices()
     except Exception as error:
         # JAX and its plug-ins raise many kinds of exceptions, e.g. for a plug-in of a different
-        # version or a driver without a device.
+        # version or for a missing device.
         return CheckResult(
             "JAX",
             "wrong",

@@ -1,5 +1,4 @@
-"""Let a controller drive a real fin: with live or recorded references, or as a ROS 2 node; no
-JAX."""
+"""Runs a controller on a real fin, with live or recorded references or as a ROS 2 node. No JAX."""
 
 import contextlib
 import functools
@@ -50,7 +49,7 @@ STOP_KEY = "press Enter alone to stop the fin"
 
 
 class Drive(NamedTuple):
-    """A controller that drives a real fin, with the duration and the file of the recording."""
+    """A controller for a real fin, with the duration and the file of the recording."""
 
     controller: LoadedController
     robot: RobotSetup
@@ -95,9 +94,9 @@ class Drive(NamedTuple):
     ) -> Result:
         """Ask for confirmation, then move and record.
 
-        `line` is called with each line typed in the meantime; `keys` says what may be typed.
-        Returns the path of the recording and the errors over its last window. They are also printed
-        if the fin is stopped.
+        `line` is called with each typed line; `keys` describes the possible input. Returns the path
+        of the recording and the errors over its last window, which are also printed if the fin is
+        stopped.
         """
         machine = self.robot.machine
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
@@ -116,7 +115,7 @@ class Drive(NamedTuple):
                     "leaves it"
                 )
             listen_on_terminal(stop, line)
-            # Only now, after the confirmation, is an existing recording replaced.
+            # An existing recording is replaced only after the confirmation.
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
             with session.recording(bag):
@@ -140,8 +139,8 @@ class Drive(NamedTuple):
         summary: JsonObject,
         keys: str,
     ) -> None:
-        """Run the controller and show its state every second; keeps the errors over the last window
-        in `summary`."""
+        """Run the controller and show its state every second; `summary` receives the errors over
+        the last window."""
         controller = DisturbanceObserver(self.controller) if self.trim else self.controller
         reachable = controller.reachable
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
@@ -183,11 +182,11 @@ class Drive(NamedTuple):
 
 @contextlib.contextmanager
 def _said_when_stopped(bag: Path, summary: JsonObject) -> Iterator[None]:
-    """Print the summary if the fin is stopped after its first action."""
+    """Print the summary if the fin is stopped after the first action."""
     try:
         yield
     except SafetyStop:
-        # The reason of the stop matters more than a closed terminal.
+        # The reason for the stop matters more than a closed terminal.
         with contextlib.suppress(OSError):
             if summary:
                 say(_described(bag, summary))
@@ -238,7 +237,7 @@ def run(
         Path of the recording, and the errors over its last window.
 
     Raises:
-        SafetyStop: The fin was stopped.
+        SafetyStop: If the fin was stopped.
     """
     if (reference is None) == (reference_file is None):
         raise ConfigurationError("use either --reference=X,Y or --reference-file FILE")
@@ -254,7 +253,7 @@ def run(
         keys = f"type X,Y for a new target, or {STOP_KEY}"
         return drive.run(live, live.set_from_text, keys=keys)
     assert reference_file is not None, "checked above"
-    # Imported here, because reading the file needs packages that a robot may lack.
+    # Imported here because reading the file needs packages that a robot may lack.
     from softfin.task.signals import read_reference_file
 
     rows = read_reference_file(Path(reference_file))
@@ -305,7 +304,7 @@ def ros2(
         Path of the recording, and the errors over its last window.
 
     Raises:
-        SafetyStop: The fin was stopped.
+        SafetyStop: If the fin was stopped.
     """
     from softfin.rig.ros2.node import RosNode, default_reference_limit
     from softfin.rig.ros2.plant import Ros2Machine, open_transport
@@ -322,7 +321,7 @@ def ros2(
     if isinstance(machine, Ros2Machine):
         machine.config.check_apart(topics)
     otherwise, warning = resolve_reference(drive.controller, reference, strict)
-    # Opened before the machine, so that problems with ROS 2 appear before anything moves.
+    # Opened before the machine so that problems with ROS 2 appear before anything moves.
     transport = open_transport(topics.connection)
     try:
         node = RosNode(
@@ -348,5 +347,5 @@ def ros2(
 
 
 def typed_fields(connection: TransportConfig | None) -> JsonObject | None:
-    """Return the fields of a connection that were set; None if there are none."""
+    """Return the fields of a connection that were set; None if no field was set."""
     return None if connection is None else connection.model_dump(exclude_unset=True)

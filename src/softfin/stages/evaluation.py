@@ -1,4 +1,4 @@
-"""Stages that evaluate a moving fin with a controller (paper Sec. IV-B)."""
+"""Stages that evaluate a controller on a fin (paper Sec. IV-B)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,7 +53,7 @@ def evaluate(
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II).
 
     Args:
-        controllers: Controller folder; several of different seeds are evaluated together.
+        controllers: Controller folder; several folders from different seeds are evaluated together.
         plant: tank, a YAML file, a surrogate folder, package.module:plant, rig[:FILE] or
             ros2[:FILE].
         out: Output folder for evaluation.json and the figures (default: only print the scores).
@@ -90,7 +90,7 @@ def evaluate(
     if not controllers and config is not None:
         from softfin.evaluation.evaluate import EvaluateConfig
 
-        # The controller may have become the value of a misspelt option.
+        # The controller may have been parsed as the value of a misspelled option.
         configure(EvaluateConfig(), config)
     paths = list(map(Path, controllers))
     out = None if out is None else Path(out)
@@ -159,7 +159,7 @@ def _evaluate_simulated(
             raise ConfigurationError(
                 f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
-        # At 0, use the tank itself: RandomizedTank would also change the sensor noise.
+        # At 0, use the tank itself, because RandomizedTank would also change the sensor noise.
         target = target if widths.is_none else RandomizedTank(target, widths)
     metadata = {
         "plant": str(plant),

@@ -1,8 +1,8 @@
 """The example that ships with softfin: a trained surrogate and controllers for the virtual tank. No
 JAX.
 
-``examples/make_example.py`` generates its folder with softfin's own commands. ``example.json``
-lists these commands, the SHA-256 of each file and the controllers' errors in the tank.
+``examples/make_example.py`` generates the folder with softfin's own commands. ``example.json``
+lists these commands, the SHA-256 of each file, and the errors of the controllers in the tank.
 """
 
 import shutil
@@ -15,7 +15,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.paths import typed_path
 
 EXAMPLE = Path(__file__).parents[1] / "example"
-"""The example's folder in the package."""
+"""Folder of the example in the package."""
 
 EXAMPLE_KIND = "example"
 
@@ -41,7 +41,7 @@ def write_example(
     artifacts.check_vacant(out, overwrite, "folder", "example")
 
     def copy(place: Path) -> None:
-        # Only the contents are copied, because the package's files may be read-only.
+        # Only the contents are copied, because the files of the package may be read-only.
         for file in sorted(file for file in EXAMPLE.rglob("*") if file.is_file()):
             target = place / file.relative_to(EXAMPLE)
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The stage that writes the explorer page: plants and controllers in, one HTML file out."""
+"""The stage that writes plants and controllers as an explorer page, a single HTML file."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ def explore(
         Size and parts of the page.
 
     Raises:
-        PlantError: The page cannot simulate a plant, or it cannot follow a controller's commands.
+        PlantError: If the page cannot simulate a plant, or a plant cannot follow a controller.
 
     Example:
         >>> softfin.explore("gaits", "single", out="explore.html", plant=("tank", "surrogate"))
@@ -78,7 +78,7 @@ def explore(
     size = page_controllers[0]["size"] if page_controllers else None
     limits = [fin.limits for fin in moving.values()]
     page_controllers.append(hand_data(limits, clock, size))
-    # A surrogate does not contain its fin's size; draw it like the fin of the first tank.
+    # A surrogate does not contain the size of its fin; draw it like the fin of the first tank.
     tanks = [fin for fin in moving.values() if isinstance(fin, Tank)]
     default_tank = tanks[0] if tanks else Tank()
     page_plants = []
@@ -102,8 +102,8 @@ def explore(
 
 
 def _common_clock(controllers: "Mapping[str, LoadedController]") -> ActionClock:
-    """Return the clock of the controllers, or the paper's clock without controllers; raises
-    ConfigurationError if controllers have different clocks."""
+    """Return the clock of the controllers, or the paper's clock if there are none; raises
+    ConfigurationError if their clocks differ."""
     clocks = {path: controller.clock for path, controller in controllers.items()}
     clock = next(iter(clocks.values()), PAPER_CLOCK)
     for path, other in clocks.items():
@@ -123,8 +123,8 @@ def _check_distinct(given: Sequence[object]) -> None:
 
 
 def _labels(short: dict[str, str]) -> dict[str, str]:
-    """Return a unique label for each item: its short name, with the user's name appended to
-    duplicates."""
+    """Return a unique label for each item: its short name, followed by the user's name for it if
+    the short name is not unique."""
     counts = Counter(short.values())
     return {
         given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()

@@ -1,8 +1,9 @@
-"""Stages on a real fin: record logs and evaluate controllers in real time, one after the other.
+"""Stages on a real fin, which record logs and evaluate controllers in real time, one after the
+other.
 
-The folder ``NAME-bags``, next to the output folder NAME, contains a ROS 2 bag of everything,
-written live and never removed, and the finished logs, from which an interrupted collection
-continues.
+The folder ``NAME-bags``, next to the output folder NAME, contains the finished logs, from which an
+interrupted collection resumes, and a ROS 2 bag of all data, which is written live and never
+removed.
 """
 
 import json
@@ -46,27 +47,27 @@ from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
 Confirm = Callable[[RobotSetup], None]
-"""Function that asks the operator whether the fin may move; raises an error unless the answer is
-yes."""
+"""Function that asks the operator whether the fin may move, and raises an error unless the answer
+is yes."""
 
 EXTRA_TICKS = 20
-"""Minimum number of ticks read after the last row of a log, because the force filter delays its
-output."""
+"""Minimum number of ticks read after the last row of a log; needed because the force filter delays
+its output."""
 
 HALF_TICK_S = TICK_S / 2
-"""Time by which command stamps are moved back [s], so that the jitter of the ticks cannot move a
-command to the next row."""
+"""Time by which command stamps are moved back [s], so that tick jitter cannot move a command to the
+next row."""
 
 GAP_S = 0.05
-"""Longest gap between two readings of a device that is interpolated [s]. Even at 3 Hz a fin moves
-smoothly over this time."""
+"""Maximum gap between two readings of a device that is interpolated [s]. Even at 3 Hz, the motion
+of a fin is smooth over this time."""
 
 STATE = "collect.json"
 
 DRIFT_N = 0.2
-"""Change in the rest force, since the first log of a collection, above which softfin warns [N], for
-a fin with the peak force of the paper's fin. The rest force is subtracted from each log, but a
-sensor that drifts between logs also drifts within them."""
+"""Change in the rest force since the first log of a collection above which softfin warns [N], for a
+fin with the peak force of the paper's fin. The rest force is subtracted from each log, but a sensor
+that drifts between logs also drifts within them."""
 
 
 def collect_live(
@@ -85,7 +86,7 @@ def collect_live(
 
     With `resume`, finished logs are kept. `warn` is called for each log whose rest force has
     changed, and at the end if many sensor records were lost or unusable. Raises SafetyStop if the
-    fin had to be stopped; everything recorded until then is kept.
+    fin had to be stopped; all data recorded until then are kept.
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = find_bags(out)
@@ -94,15 +95,16 @@ def collect_live(
         "fin": robot.fin,
         "rig": robot.configuration,
     }
-    # A collection may continue with the sensor at a different address, but not with other settings.
+    # A collection may resume with the sensor at a different address, but not with different
+    # settings.
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
     names = _log_names(config)
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
-    # Checked before anything moves, because collecting takes hours.
+    # Checked before anything moves because collecting takes hours.
     sensor_states = _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
-        # The recordings belong to this collection, and the dataset is only written once they are
-        # complete.
+        # The recordings belong to this collection, and the dataset is written only when all of them
+        # are complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
     if missing:
@@ -116,7 +118,7 @@ def collect_live(
             for index, name in enumerate(missing):
                 # Default arguments bind the index and name of this iteration.
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
-                    # Remaining rows, plus the rest period before each remaining log.
+                    # Remaining rows plus the rest period before each remaining log.
                     left = ((len(missing) - index) * config.rows - row) / RATE_HZ
                     left_s = timedelta(
                         seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
@@ -131,7 +133,7 @@ def collect_live(
                     "force_at_rest_n": [round(x, 4) for x in rest_force],
                     "force_peak_n": round(float(np.abs(log.reading.force).max()), 4),
                 }
-                # Written before the log: an existing log is considered finished, so its sensor
+                # Written before the log: an existing log is treated as finished, so its sensor
                 # state must already exist.
                 _write_state(bags, claim, sensor_states)
                 write_log(bags / f"{name}.parquet", log)
@@ -170,8 +172,8 @@ def evaluate_live(
     progress: Progress = silent,
     warn: Warn = lambda line: None,
 ) -> EvaluationSummary:
-    """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does
-    on a simulated plant."""
+    """Evaluate a controller on a real fin (paper Sec. IV-B, Table II) in the same way as
+    `softfin.evaluate` on a simulated plant."""
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
@@ -208,7 +210,7 @@ class LiveFin:
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference `repetitions` times, one after the other, each from rest."""
+        """Run every reference `repetitions` times from rest, one run after the other."""
         runs: list[tuple[Command, Reading]] = []
         shape = (len(references), repetitions)
         for index, repetition in np.ndindex(shape):
@@ -244,9 +246,10 @@ class LiveFin:
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(extra_ticks(self._robot))]
-        # Power off first: resampling ten minutes of samples takes longer than a tick may be late.
+        # Power off first: resampling ten minutes of samples takes longer than the maximum delay of
+        # a tick.
         session.deactivate()
-        # A tick's reading is taken at its end, so row 0, the rest before the first action, is
+        # Readings are taken at the ends of ticks, so row 0, at rest before the first action, is
         # dropped below.
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
@@ -261,19 +264,19 @@ class LiveFin:
 
 
 def longest_gap(robot: RobotSetup) -> float:
-    """Return the longest gap allowed in a log [s]; gaps that the safety limits allow are
-    interpolated as well."""
+    """Return the maximum gap in a log [s]; gaps that the safety limits allow are also
+    interpolated."""
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
 def extra_ticks(robot: RobotSetup) -> int:
-    """Return the number of ticks to read after the last row of a log, until its force is known: as
-    long as the safety limits allow the force to lag."""
+    """Return the number of ticks to read after the last row of a log until its force is known,
+    given the lag of the force that the safety limits allow."""
     return max(EXTRA_TICKS, math.ceil(robot.safety.force_stale_s * RATE_HZ))
 
 
 def find_bags(out: Path) -> Path:
-    """Return the folder of recordings next to an output folder."""
+    """Return the recordings folder next to an output folder."""
     return out.absolute().with_name(f"{out.absolute().name}-bags")
 
 
@@ -283,22 +286,22 @@ def log_from_samples(
     rows: int,
     gap_s: float = GAP_S,
 ) -> Log:
-    """Resample drive and sensor onto a common 100 Hz grid that starts at the first sample, which
-    removes the loop's jitter.
+    """Resample drive and sensor onto a common 100 Hz grid that starts at the first sample; this
+    removes the jitter of the loop.
 
     `issued` contains the time [s] and target of each command. The force filter delays its output,
-    so `samples` must extend a little beyond the last row. The log has channels for the motor's
-    current and supply voltage, if they are measured, and for the rest of the wrench. Raises
-    DeviceError if the samples end early or have a gap longer than `gap_s`.
+    so `samples` must extend a little beyond the last row. The log has channels for motor current
+    and supply voltage, if measured, and for the rest of the wrench. Raises DeviceError if the
+    samples end early or have a gap longer than `gap_s`.
     """
-    # The force has its own times: the sensor's filter reports it later than the angle.
+    # The force has its own times because the sensor filter delays it relative to the angle.
     grid = samples[0].time + TICK_S * np.arange(rows)
     # NaN if current or voltage is not measured.
     drive = np.array([(s.time, s.angle, s.velocity, s.current, s.voltage) for s in samples], float)
     angle, velocity, current, voltage = _resample(drive, grid, "angle", gap_s)
     wrenches = np.array([(s.force_time, *s.wrench) for s in samples])
     x, y, *loads = _resample(wrenches, grid, "force", gap_s)
-    # A sensor that does not measure a load reports it as zero.
+    # Sensors report zero for loads that they do not measure.
     channels = {name: load for name, load in zip(LOAD_CHANNELS, loads, strict=True) if load.any()}
     electrical = {CURRENT_CHANNEL: current, VOLTAGE_CHANNEL: voltage}
     channels |= {name: values for name, values in electrical.items() if np.isfinite(values).all()}
@@ -318,11 +321,11 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
     # A device may repeat a reading, and interpolation needs increasing times.
     points = points[np.diff(points[:, 0], prepend=-np.inf) > 0]
     time = points[:, 0]
-    # Gaps between readings within the grid, including the gaps at both of its ends.
+    # Gaps between readings within the grid, including the gaps at both ends.
     within = time[(time > grid[0]) & (time < grid[-1])]
     gaps = np.diff(np.concatenate([[min(time[0], grid[0])], within, [grid[-1]]]))
     if time[0] > grid[0] + gap_s or time[-1] < grid[-1] or gaps.max() > gap_s:
-        # Where the longest gap starts, in seconds from the start of the log.
+        # Start of the longest gap, in seconds from the start of the log.
         place = 0.0 if time[0] > grid[0] + gap_s else gaps[: gaps.argmax()].sum()
         raise DeviceError(
             f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log (limit "
@@ -351,9 +354,9 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
 
 
 def _sensor_state(machine: Machine) -> JsonObject:
-    """Return the serial number of the sensor's calibration, its last zero, and the delay for which
-    its force is corrected [s]; None for entries that a machine lacks."""
-    # Only a rig owns its sensor; behind ROS 2 the sensor belongs to another program.
+    """Return the serial number of the sensor calibration, the last sensor zero, and the delay for
+    which the force is corrected [s]; None for entries that a machine lacks."""
+    # Only a rig owns its sensor; with ROS 2, the sensor belongs to a different program.
     if not isinstance(machine, Rig):
         return {"sensor_serial": None, "force_zero": None, "force_delay_s": None}
     force_zero = load_record(machine.config.file).force_zero
@@ -365,8 +368,8 @@ def _sensor_state(machine: Machine) -> JsonObject:
 
 
 def _drift_warning(sensor_states: JsonObject, first_name: str, name: str) -> str | None:
-    """Return a warning if the rest force before a log differs from that before the first log, in
-    relation to the log's peak force."""
+    """Return a warning if the rest force has changed since the first log, relative to the peak
+    force of the log."""
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
     limit = DRIFT_N * round_size(sensor_states[name]["force_peak_n"] / PAPER_PEAK_N)
@@ -385,8 +388,8 @@ def _write_state(bags: Path, claim: JsonObject, sensor_states: JsonObject) -> No
 
 
 def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
-    """Return the sensor's state for each finished log; raises ArtifactError if the folder contains
-    other recordings, or finished logs without `resume`."""
+    """Return the sensor state of each finished log; raises ArtifactError if the folder contains
+    other recordings, or if it contains finished logs and `resume` is not set."""
     state = bags / STATE
     if not state.exists():
         if bags.exists() and any(bags.iterdir()):
@@ -399,7 +402,8 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
                 f"{bags}: contains finished logs; continue with --resume, choose a different "
                 "--out, or move the folder away"
             )
-        # Through JSON and back, so that tuples and numbers compare equal to those in the file.
+        # Convert to JSON and back so that tuples and numbers compare equal to the contents of the
+        # file.
         before = artifacts.read_json(state)
         sensor_states: JsonObject = before.pop("sensor_by_log", {})
         now = json.loads(artifacts.dump_json(claim))
@@ -415,14 +419,13 @@ def _record(
     name: str,
     report: Callable[[int, Sample], None],
 ) -> tuple[Log, MeasuredForce]:
-    """Record a log whose row k contains the reading of tick k + 1 and the command issued at that
-    time.
+    """Record a log; row k contains the reading of tick k + 1 and the command issued at that time.
 
-    Returns it with the rest force before the log [N], which is already subtracted from its force.
+    Returns the log and the rest force before it [N], which is already subtracted from the force.
     """
     part, number = name.split("-")
     _, key = jax.random.split(named_key(config.seed, f"collect/{part}/{int(number)}"))
-    # As for a simulated plant: one command per tick, and an initial one.
+    # As for a simulated plant, there is one command per tick and an initial command.
     sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
     commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]
     session.activate()

@@ -1,4 +1,4 @@
-"""Check recordings, import them as a dataset, or recover them. No JAX."""
+"""Stages that check recordings, import them as a dataset, or recover them. No JAX."""
 
 import textwrap
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ def inspect_logs(
         logs: A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags.
         out: Output folder for inspection.json and the figure.
         recordings: How to read recordings that softfin did not make.
-        save: Save these options as log.yaml beside the logs, where other commands find them.
+        save: Save these options as log.yaml next to the logs, where other commands find them.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -93,7 +93,7 @@ def import_logs(
         Folder and hash of the dataset, and a summary of the logs.
 
     Raises:
-        LogError: The logs have errors, and ignore_errors is not set.
+        LogError: If the logs have errors and ignore_errors is not set.
 
     Example:
         >>> softfin.import_logs("recordings", out="dataset")
@@ -160,7 +160,7 @@ def recover_recording(
 
 
 def columns_read(columns: Mapping[str, str]) -> str:
-    """Return one line per log: how columns without softfin's names were interpreted."""
+    """Return one line per log on the interpretation of columns without softfin's names."""
     return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
@@ -188,7 +188,7 @@ def inspection_table(result: JsonObject) -> str:
 
 
 def _issue_lines(issue: JsonObject) -> list[str]:
-    """Return the location of an issue, then its message and its fix, indented."""
+    """Return the location of an issue, followed by its message and fix, indented."""
     row = issue["row"]
     others = len(issue["logs"]) - 1
     place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]

@@ -1,4 +1,4 @@
-"""Look up a real fin by name, ``rig`` or ``ros2``, or a rig by its configuration; either may be
+"""Finds a real fin by name (``rig`` or ``ros2``), or a rig by its configuration; the rig may be
 emulated."""
 
 from pathlib import Path
@@ -11,7 +11,8 @@ from softfin.storage.registry import LIVE
 
 
 def find_rig(config: RigConfig) -> Rig:
-    """Return the rig with a configuration without opening it; raises RigError."""
+    """Return the rig with a configuration without opening it; raises RigError if the configuration
+    is unusable."""
     if config.emulation is None:
         return Rig(config)
     # Imported here because a real rig does not need the tank.
@@ -22,7 +23,7 @@ def find_rig(config: RigConfig) -> Rig:
 
 def find_robot(name: str) -> RobotSetup:
     """Return the machine with a name (``rig`` or ``ros2``, optionally followed by ``:FILE``)
-    without opening it; raises RigError."""
+    without opening it; raises RigError if it is unusable."""
     # Imported here because each kind needs only its own libraries.
     kind, _, file = name.partition(":")
     path = Path(file) if file else None

@@ -1,4 +1,4 @@
-"""Many trainings at once on a Ray cluster (extra `ray`), one task per training."""
+"""Runs many trainings at once on a Ray cluster (extra `ray`), with one task per training."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,20 +9,20 @@ from softfin.installation import how_to_add
 from softfin.stages.controllers import train
 
 MAX_RETRIES = 2
-"""Maximum number of restarts of a training whose worker dies."""
+"""Maximum number of restarts of a training after its worker dies."""
 
 
 def train_on_ray(
     runs: Sequence[Mapping[str, Any]], cluster: str, num_gpus: float = 0.0
 ) -> list[JsonObject]:
-    """Call `train` once with each mapping of its arguments, on the Ray cluster at HOST:PORT.
+    """Call `train` once with each mapping of arguments, on the Ray cluster at HOST:PORT.
 
     Returns the results of `train` in the same order. All machines must have the plants and the
     output folders at the same paths. Each training uses one processor core and `num_gpus` GPUs.
 
     Raises:
-        ConfigurationError: Ray is not installed, or the cluster cannot be used.
-        RunError: a training failed; it is raised after all other trainings have finished.
+        ConfigurationError: If Ray is not installed, or the cluster cannot be used.
+        RunError: If a training failed; raised after all other trainings have finished.
     """
     ray = _connect(cluster)
     try:
@@ -58,7 +58,7 @@ def _connect(cluster: str) -> Any:
 
 def _train(arguments: dict[str, Any]) -> JsonObject | SoftfinError:
     """Train on a worker, from the last checkpoint if a previous worker died. softfin's errors are
-    returned, because Ray would wrap raised errors in a traceback."""
+    returned instead of raised, because Ray would add a traceback."""
     try:
         return train(arguments.pop("surrogate"), **arguments | {"resume": True})
     except SoftfinError as error:
@@ -66,10 +66,10 @@ def _train(arguments: dict[str, Any]) -> JsonObject | SoftfinError:
 
 
 def _wait(ray: Any, task: Any) -> JsonObject | Exception:
-    """Return the result of a task, or its error."""
+    """Return the result of a task or its error."""
     try:
         outcome: JsonObject | Exception = ray.get(task)
     except ray.exceptions.RayError as error:
-        # The text ends with the error on the worker, after its traceback.
+        # The text ends with the error on the worker, after the traceback.
         return RunError(str(error).strip().splitlines()[-1])
     return outcome

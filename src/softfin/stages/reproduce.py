@@ -1,6 +1,7 @@
-"""The complete pipeline in one run: a list of stages, each with its own folder, then a report.
+"""The complete pipeline in one run: a sequence of stages, each with its own folder, followed by a
+report.
 
-A stage whose folder exists is skipped, so that a stopped run can continue.
+Stages whose folder exists are skipped, so that an interrupted run can be resumed.
 """
 
 import resource
@@ -37,31 +38,33 @@ RESULTS = "results.json"
 PAGE = "explore.html"
 
 Changes = Mapping[str, Any]
-"""Changes of the default configuration of a stage."""
+"""Changes to the default configuration of a stage."""
 
 
 class Preset(NamedTuple):
     """The stages of a run."""
 
     policies: Mapping[PolicyLayout, Changes]
-    """Policies to train; a controller of gaits is always made."""
+    """Policies to train; a gait controller is always created."""
     model: str = "streaming"
     collect: Changes = MappingProxyType({})
     fit: Changes = MappingProxyType({})
     gaits: Changes = MappingProxyType({})
     evaluate: Changes = MappingProxyType({})
-    """Experiments, in the plant without and with force feedback, and in the surrogate."""
+    """Changes to the experiments in the plant (without and with force feedback) and in the
+    surrogate."""
     moving: bool = True
-    """Whether the reference also steps from one side to the other, and whether the controllers are
-    also evaluated with force feedback."""
+    """Whether to also evaluate a reference that steps from one side to the other, and controllers
+    with force feedback."""
     num_seeds: int = 1
-    """Number of policies trained per kind, from consecutive seeds; intervals cover them."""
+    """Number of policies trained per kind, from consecutive seeds; confidence intervals are over
+    these seeds."""
 
 
 PRESETS: Mapping[ReproducePreset, Preset] = {
     "paper": Preset(
         model="paper",
-        # So few actions need more updates per rollout.
+        # With so few actions, more updates per rollout are needed.
         policies={
             "single": {
                 "range": "paper",
@@ -100,9 +103,9 @@ PRESETS: Mapping[ReproducePreset, Preset] = {
         num_seeds=2,
     ),
 }
-"""``paper``: the paper's full data and budgets, and gaits. ``demo``: a streaming surrogate from ten
-minutes of data, gaits and a single policy, in two minutes. ``tiny``: a check that every stage
-works."""
+"""``paper`` uses the full data and budgets of the paper and adds gaits. ``demo`` fits a streaming
+surrogate to ten minutes of data and adds gaits and a single policy, in two minutes. ``tiny`` only
+checks that every stage works."""
 
 ONE_STEP = {"time_s": (0, 10), "force_n": ((2, -1), (2, 1))}
 """Moving reference: one step from one side to the other."""
@@ -115,9 +118,9 @@ class Stage(NamedTuple):
     what: str
     """Description of the result."""
     result: Path
-    """File or folder; if it exists, the stage is skipped."""
+    """File or folder of the result; if it exists, the stage is skipped."""
     work: Callable[..., object]
-    """Function that does the work, with the argument `progress`."""
+    """Function that runs the stage, with the argument `progress`."""
 
 
 def demo(
@@ -211,7 +214,7 @@ def reproduce(
 def _claim(
     out: Path, plant: str, preset: ReproducePreset, seed: int, resume: bool, overwrite: bool
 ) -> None:
-    """Claim the folder for this run, or continue a stopped run with the same options."""
+    """Claim the folder for this run, or resume a stopped run with the same options."""
     from softfin.core.plant_identity import identity
     from softfin.storage.registry import find_plant
     from softfin.storage.run_directory import check_same, software_versions
@@ -243,7 +246,7 @@ def _claim(
 
 
 def _clear(out: Path, plant: str) -> None:
-    """Set a complete run aside, until the new one is complete, or remove an unfinished run."""
+    """Set a complete run aside until the new run is complete, or remove an unfinished run."""
     folder = out.resolve()
     if Path(plant).exists() and Path(plant).resolve().is_relative_to(folder):
         raise ArtifactError(
@@ -264,7 +267,7 @@ def _clear(out: Path, plant: str) -> None:
 
 
 def _replaced(out: Path) -> Path:
-    """Return the folder of the previous run while a new one replaces it."""
+    """Return the folder that keeps the previous run while a new run replaces it."""
     folder = out.resolve()
     return folder.with_name(f".{folder.name}.before")
 
@@ -327,7 +330,7 @@ def _learn_surrogate(out: Path, plant: str, preset: Preset, seed: int) -> Iterat
         dataset,
         partial(collect, plant=plant, out=dataset, seed=seed, config=preset.collect),
     )
-    # Errors are ignored because the logs were recorded by this run and not by a user's program.
+    # Errors are ignored because the logs were recorded by this run, not by a user's program.
     recordings = ImportConfig(ignore_errors=("all",))
     work = partial(fit, dataset, model=preset.model, config=preset.fit, recordings=recordings)
     yield Stage(
@@ -346,7 +349,7 @@ def _list_evaluations(
     seed: int,
     controllers: Mapping[str, list[Path]],
 ) -> Iterator[Stage]:
-    """Yield the evaluations of all controllers in the plant, with force feedback, and in the
+    """Yield the evaluation stages of all controllers: in the plant, with force feedback, and in the
     surrogate."""
     from softfin.gaits.reachable import PAPER_REFERENCES
 
@@ -362,7 +365,8 @@ def _list_evaluations(
         feedback = ", with force feedback (--trim)" if trim else ""
         for kind, paths in controllers.items():
             result = out / folder / kind
-            # Policies have several seeds; for gaits, it is the plant's noise that differs.
+            # Policies differ in their training seeds, whereas evaluations of gaits differ in the
+            # plant noise.
             repeats = preset.num_seeds if kind == "gaits" else 1
             work = partial(evaluate, *paths, plant=place, config=config, repeats=repeats)
             yield Stage(
@@ -376,11 +380,11 @@ def _list_evaluations(
 def _write_page(
     controllers: list[Path], out: Path, plants: tuple[str, str], progress: Progress
 ) -> None:
-    """Write the page for trying controllers, if it can simulate one of the plants."""
+    """Write the explorer page for trying controllers if it can simulate one of the plants."""
     from softfin.explorer.contents import is_shown
     from softfin.storage.registry import find_plant
 
-    # The plant of this run may itself be the surrogate folder, perhaps spelled differently.
+    # The plant of this run may itself be the surrogate folder, possibly under a different path.
     places = {Path(name).resolve(): name for name in plants}
     shown = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
     if shown:
@@ -388,7 +392,7 @@ def _write_page(
 
 
 def _run(stage: Stage, title: str, progress: Progress) -> "StageRow":
-    """Do the work of a stage unless its result exists; returns its description and times."""
+    """Run a stage unless its result exists; return its description and times."""
     wall_s = processor_s = None
     if not stage.result.exists():
         progress(title, 0.0, "")
@@ -411,7 +415,7 @@ def _run(stage: Stage, title: str, progress: Progress) -> "StageRow":
 def _collect_results(
     out: Path, plant: str, preset: ReproducePreset, seed: int, stages: "list[StageRow]"
 ) -> "RunResults":
-    """Return the contents of ``results.json``, from the files of the stages."""
+    """Return the contents of ``results.json``, collected from the files of the stages."""
 
     def read_evaluations(folder: str) -> "dict[str, EvaluationSummary]":
         summaries: dict[str, Any] = {}
@@ -445,7 +449,7 @@ def _collect_results(
 
 
 def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]]:
-    """Return the figures of the stages, by section of the report and by caption."""
+    """Return the figures of the stages, keyed by report section and caption."""
     from softfin.evaluation.headline import headline
 
     prediction = {"Force in a test log and in the surrogate": out / "surrogate/prediction.png"}
@@ -478,7 +482,7 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
 
 
 def _describe(out: Path, results: "RunResults") -> Result:
-    """Return the results with the text that the command prints."""
+    """Return the results with the text printed by the command."""
     from softfin.evaluation.headline import error_decimals, headline
     from softfin.stages.tables import (
         format_paper_tables,

@@ -1,4 +1,4 @@
-"""Commands for one rig: check and prove it, set its zeros, stop it, and emulate one."""
+"""Commands for one rig: check, prove, zero, stop and emulate it."""
 
 import contextlib
 import sys
@@ -44,7 +44,7 @@ ZERO_TEXTS = {
     "force_after_n": "force at rest now: {0[0]:z.3f}, {0[1]:z.3f}, {0[2]:z.3f} N",
     "noise_n": "noise: {0[0]:z.3f}, {0[1]:z.3f}, {0[2]:z.3f} N",
 }
-"""Lines that `zero` prints, by the name of the result."""
+"""Lines printed by `zero`, keyed by result name."""
 
 
 def check(
@@ -72,7 +72,7 @@ def check(
         The results, each as soon as it is available; the proof with `prove`.
 
     Raises:
-        DeviceError: A check has failed, or the drive does not stop by itself.
+        DeviceError: If a check has failed, or the drive does not stop by itself.
     """
     if moving and not prove:
         raise ConfigurationError("--moving: is part of the proof; add --prove")
@@ -89,7 +89,8 @@ def check(
 
 
 def _prove(config: RigConfig, moving: bool, arming: Arming) -> Result:
-    # If the terminal closes, the motor must not stay powered: the drive's own stop is unproven.
+    # If the terminal closes, the motor must not stay powered, because it is not proved that the
+    # drive stops by itself.
     with interrupted_by_signals(), contextlib.closing(find_rig(config)) as rig:
         rig.drive.open()
         motion = MOVING if moving else PROVING
@@ -115,10 +116,10 @@ def stop(*, rig: Annotated[PathLike, FILE] = RIG_FILE) -> Result:
         rig: Rig configuration file.
 
     Returns:
-        That the motor is off.
+        Confirmation that the motor is off.
 
     Raises:
-        DeviceError: The drive did not confirm that its motor is off.
+        DeviceError: If the drive does not confirm that its motor is off.
     """
     with ignored_termination(), contextlib.closing(find_rig(load_rig(Path(rig)))) as machine:
         try:
@@ -204,7 +205,7 @@ def emulate(
     values = {} if tank is None else read_yaml(Path(tank))
     emulated_tank = Tank(TankConfig.build(values, str(tank)))
     if real_time:
-        # The user may press Ctrl-C as soon as the message mentions it.
+        # The user may press Ctrl-C as soon as the message appears.
         with (
             contextlib.suppress(KeyboardInterrupt),
             EmulatedRig(
@@ -224,21 +225,21 @@ def emulate(
             while True:
                 COMPUTER.sleep(SIGNAL_CHECK_S)
         return None
-    # A new rig must not inherit the state of the rig that it replaces.
+    # A new rig must not inherit the state of the previous rig.
     state_file(rig).unlink(missing_ok=True)
     write_simulated(rig, emulated_tank, values, seed, drive, sensor)
     return Result({"rig": str(rig)}, _next_steps(rig))
 
 
 def _next_steps(rig: Path) -> str:
-    """Say what to do with a new emulated rig."""
+    """Return the next steps for a new emulated rig."""
     is_default = rig == RIG_FILE
     plant = "rig" if is_default else f"rig:{rig}"
     option = "" if is_default else f" --rig {rig}"
     prove = f"softfin rig check{option} --prove --arm"
     zero_it = f"softfin rig zero{option} --arm"
-    # If zeroing powers the motor, it needs the proof first. Otherwise, the drive stores the zero,
-    # and the proof depends on it.
+    # If zeroing powers the motor, the proof must come first. Otherwise, the drive stores the zero,
+    # on which the proof depends.
     is_proved_first = load_rig(rig).drive.ZERO_POWERS_MOTOR
     steps = [prove, zero_it] if is_proved_first else [zero_it, prove]
     return (

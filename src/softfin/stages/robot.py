@@ -1,4 +1,5 @@
-"""Commands for robots with several fins: check one, evaluate its node in simulation, and run it."""
+"""Commands for robots with several fins: check a robot, evaluate its node in simulation, and run
+the node."""
 
 import sys
 from collections.abc import Sequence
@@ -159,10 +160,10 @@ def ros2(
 def simulated_fins(
     robot: "RobotConfig", controllers: Sequence[Path], plants: Sequence[str]
 ) -> "list[SimulatedFin]":
-    """Load the controller and the tank of each fin: one for all, or one for each.
+    """Load the controller and the tank of each fin; there is one for all fins or one per fin.
 
-    Raises ConfigurationError for a wrong number of them and for a plant that is not a tank, and
-    PlantError for a controller that exceeds its tank's limits.
+    Raises ConfigurationError if the number of controllers or tanks is wrong or a plant is not a
+    tank, and PlantError if a controller exceeds the limits of its tank.
     """
     from softfin.control.store import load_controller
     from softfin.evaluation.evaluate import check_limits
@@ -194,7 +195,7 @@ def simulated_fins(
 
 
 def _reach_lines(found: JsonObject) -> list[str]:
-    """Return a robot's rank, singular values, and largest forces and moments."""
+    """Return the rank, the singular values, and the largest forces and moments of a robot."""
     singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
     lines = [
         f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",

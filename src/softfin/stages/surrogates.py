@@ -1,4 +1,4 @@
-"""Stages for models of a fin: fit a surrogate (paper Sec. III-B), and calibrate the tank."""
+"""Stages that fit models of a fin: surrogates (paper Sec. III-B) and the calibrated tank."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from softfin.surrogate.protocol import SurrogatePlant
 
 SHOWN_TEST_S = 8
-"""Length of the segment of a test log in the figure [s]."""
+"""Length of the test log segment in the figure [s]."""
 
 
 @lock_output
@@ -72,7 +72,7 @@ def fit(
         Table I, issue counts, stroke time, a caveat, and a warning if noise hides the force.
 
     Raises:
-        LogError: The logs have errors that were not ignored, neither now nor at import.
+        LogError: If the logs have errors that were ignored neither now nor at import.
 
     Example:
         >>> softfin.fit("dataset", out="surrogate", config={"members": 3})
@@ -119,7 +119,7 @@ def fit(
             if scored[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, scored[0]), folder / "prediction.png")
 
-        # The metadata of a dataset are already in its own folder.
+        # The metadata of a dataset are already in the dataset folder.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
@@ -206,7 +206,7 @@ def issue_line(counts: Mapping[str, int], dataset: Path) -> str:
 
 
 def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
-    """Draw a segment of a test log and the surrogate's prediction of it."""
+    """Draw a segment of a test log and the prediction of the surrogate."""
     import equinox as eqx
     import jax
     import numpy as np
@@ -217,7 +217,7 @@ def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
     from softfin.surrogate import Surrogate
 
     rows = len(log.reading.time)
-    # Start late enough to fill the surrogate's memory.
+    # Start late enough to fill the memory of the surrogate.
     first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
     ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
     stretch = slice(first, first + ticks)
@@ -235,8 +235,8 @@ def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
 
 
 def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str | None:
-    """Return a warning if the noise of the mean force hides the force in the logs; None if it does
-    not, or if it is unknown."""
+    """Return a warning if the noise of the mean force hides the force in the logs; None otherwise,
+    or if the noise is unknown."""
     import numpy as np
 
     from softfin.core.plant import NoisyPlant
@@ -248,9 +248,9 @@ def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str 
     means = np.concatenate([window_means(np.asarray(log.reading.force)) for log in logs])
     if not means.size:
         return None
-    # The larger axis: fins may produce much more force along one of them.
+    # Use the axis with the larger force, because fins may produce much more force along one axis.
     measured_n = float(np.sqrt(np.mean(means**2, axis=0)).max())
-    # The measured mean square is that of the force plus that of the noise.
+    # The measured mean square is the sum of the mean squares of force and noise.
     if measured_n**2 >= 2 * noise_n**2:
         return None
     return (
@@ -261,7 +261,7 @@ def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str 
 
 
 def _check_commands(dataset: Path, train: "Sequence[Log]") -> None:
-    """Raise LogError if no fin can have the training commands' range."""
+    """Raise LogError if the range of the training commands is implausible for a fin."""
     from softfin.core.quantities import MAX_ANGLE_RAD, command_limits
 
     limits = command_limits(train)

@@ -1,4 +1,4 @@
-"""Tables as text for a terminal: aligned columns, and the paper's two tables."""
+"""Tables as text for a terminal: aligned columns, and the two tables of the paper."""
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -46,10 +46,10 @@ def format_table_one(scores: JsonObject) -> str:
 
 
 def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
-    """Return Table II: error and std of the 200-sample moving average.
+    """Return Table II: error and standard deviation of the 200-sample moving average.
 
-    Each error is followed by half of its 95% interval over the seeds, or by the values of two
-    seeds.
+    Each error is followed by half of its 95% interval over the seeds, or by both values if there
+    are two seeds.
     """
     lines = []
     for name, summary in controllers.items():
@@ -91,7 +91,7 @@ def format_paper_tables() -> str:
 
 
 def describe_errors(summary: EvaluationSummary) -> str:
-    """Return one line on which force the errors refer to, with the error of the readings if it
+    """Return one line that states which force the errors refer to, the error of the readings if it
     differs, and the errors as a percentage of the fin reach."""
     mean = summary["mean"]
     reach_n = summary["conditions"].get("reach_n")
@@ -149,8 +149,8 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
 
 
 def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
-    """Return one line per moving reference: its errors, and the longest settling time of its steps
-    over all seeds."""
+    """Return one line per moving reference with the errors and the longest settling time over all
+    seeds."""
     cells = [["moving references", "x error", "y error", "settles in"]]
     for row in rows:
         errors = [f"{row[axis]['error_n']:.{decimals}f}" for axis in AXES]

@@ -1,1 +1,2 @@
-"""Files on disk: artifacts, run directories, logs, datasets and bags. Also finds plants by name."""
+"""Files on disk: artifacts, run directories, logs, datasets and bags. This package also finds
+plants by name."""

@@ -1,9 +1,9 @@
 """Self-describing folders: a JSON file next to ``weights.safetensors``, written completely or not
 at all.
 
-A folder is written next to its destination and renamed. A replaced folder is kept until then.
-Reading never writes, and pickle is never used. NumPy and safetensors are imported only to read or
-write weights; the command line inspects folders without them.
+A folder is written next to its destination and then renamed. An existing folder is kept until the
+new one replaces it. Reading never writes, and pickle is never used. NumPy and safetensors are
+imported only to read or write weights; the command line inspects folders without them.
 """
 
 import contextlib
@@ -73,7 +73,7 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
 
 def check_writable(path: Path, option: str = "--out") -> None:
     """Raise ArtifactError unless a file or folder can be created at `path`. The function tests this
-    by creating one, because permissions are not the only obstacle."""
+    by creating a file, because permissions are not the only obstacle."""
     # The nearest existing parent decides whether the missing folders can be created.
     parent = path.absolute().parent
     while not parent.exists():
@@ -87,12 +87,13 @@ def check_writable(path: Path, option: str = "--out") -> None:
 
 
 def is_kind(path: Path, kind: str) -> bool:
-    """Whether the folder `path` contains a ``KIND.json``."""
+    """Return whether the folder `path` contains a ``KIND.json``."""
     return (path / f"{kind}.json").is_file()
 
 
 def _is_own(path: Path, kind: str) -> bool:
-    """Whether softfin wrote a folder of this kind; other programs also write a ``robot.json``."""
+    """Return whether softfin wrote this folder; other programs may also write files such as
+    ``robot.json``."""
     with contextlib.suppress(ArtifactError):
         return read_json(path / f"{kind}.json").get("kind") == kind
     return False
@@ -103,7 +104,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     existing folder.
 
     Raises ArtifactError if `path` must not be written, and RunError if filling or renaming fails.
-    If renaming fails, the filled folder is kept, and the message names it.
+    If renaming fails, the filled folder is kept, and the message contains its path.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
@@ -121,7 +122,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
             f"{path}: cannot be written ({error.strerror or error}); nothing else was changed"
         ) from None
     try:
-        # Another process may have written `path` while this one was computing, so check again.
+        # Another process may have written `path` during the computation, so check again.
         check_vacant(path, overwrite)
         if path.exists():
             path.rename(before)
@@ -136,10 +137,10 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
 
 
 def sync(place: Path) -> None:
-    """Flush a file or folder to disk, so that a power cut cannot leave a name without content."""
+    """Flush a file or folder to disk so that a power cut cannot leave a file without contents."""
     descriptor = os.open(place, os.O_RDONLY)
     try:
-        # Some file systems cannot flush folders, and do not need to.
+        # Some file systems cannot flush folders and do not need to.
         with contextlib.suppress(OSError) if place.is_dir() else contextlib.nullcontext():
             os.fsync(descriptor)
     finally:
@@ -152,12 +153,12 @@ def write_file(
     fix: str = "free disk space, or choose a different path",
 ) -> None:
     """Write a file next to its destination and rename it once it is on disk; `data` may be a
-    function that writes in pieces. If it fails, the error message ends with `fix`."""
+    function that writes in pieces. If writing fails, the error message ends with `fix`."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.unlink(missing_ok=True)
-        # Exclusive creation: never write through a link that somebody else placed there.
+        # Exclusive creation: never write through a link that another user placed there.
         with beside.open("xb") as file:
             if callable(data):
                 data(file)
@@ -181,12 +182,12 @@ def save(
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and the files of `extra_files` as one folder, with
+    """Write ``KIND.json``, the weights and the files of `extra_files` as one folder, using
     `write_folder`."""
 
     def write(folder: Path) -> None:
-        # Path writes the bytes: safetensors' own writer does not report a full disk, and creates
-        # files that other users cannot read.
+        # The bytes are written by Path because the writer of safetensors does not report a full
+        # disk and creates files that other users cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         write_description(folder, kind, description)
         if extra_files is not None:
@@ -213,7 +214,7 @@ def write_description(folder: Path, kind: str, description: Mapping[str, object]
 
 
 def encode_description(kind: str, description: Mapping[str, object]) -> str:
-    """Return a description as JSON, starting with its kind and format number."""
+    """Return a description as JSON that starts with the kind and format number."""
     return dump_json({**head(kind), **description})
 
 
@@ -228,8 +229,8 @@ def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None
 
 
 def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
-    """Read the description and the weights from a folder written by `save`; raises ArtifactError
-    for anything else."""
+    """Read the description and the weights from a folder written by `save`; raises ArtifactError if
+    it is anything else."""
     import safetensors.numpy
 
     description = load_description(path, kind)
@@ -239,7 +240,7 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     try:
         weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():
-            # Only floating-point numbers and integers, signed or not.
+            # Only floating-point numbers and signed or unsigned integers are allowed.
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except Exception as error:
@@ -250,8 +251,8 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
 
 
 def load_description(path: Path, kind: str) -> JsonObject:
-    """Read the JSON file of a folder of the given kind; raises ArtifactError for anything else, and
-    for a format that this version cannot read."""
+    """Read the JSON file of a folder of the given kind; raises ArtifactError if `path` is anything
+    else or this version cannot read the format."""
     file = find_description(path, kind)
     description = read_json(file)
     check_format(kind, description.get("format", 1), str(file))
@@ -259,7 +260,7 @@ def load_description(path: Path, kind: str) -> JsonObject:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """Return the file that describes a folder of the given kind; raises ArtifactError if `path` is
+    """Return the description file of a folder of the given kind; raises ArtifactError if `path` is
     anything else."""
     file = path / f"{kind}.json"
     if not path.is_dir():
@@ -272,7 +273,7 @@ def find_description(path: Path, kind: str) -> Path:
 
 
 def read_json(file: Path, remedy: str = "copy it again") -> JsonObject:
-    """Read the object in one of softfin's JSON files."""
+    """Read the object from one of softfin's JSON files."""
     try:
         description = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
@@ -302,10 +303,11 @@ def plain(value: object) -> Any:
 
 
 def provenance(**metadata: object) -> JsonObject:
-    """Return the provenance of an artifact: the given metadata, versions, git commit and time."""
+    """Return the provenance of an artifact: the given metadata, software versions, git commit and
+    time."""
     versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
     for package in versions:
-        # JAX may be missing: controllers also run on computers without it.
+        # JAX may be missing, because controllers also run on computers without it.
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
     return {
@@ -321,7 +323,7 @@ def _git_commit() -> str | None:
     """Return the commit of softfin's checkout, with ``+`` if there are uncommitted changes; None
     outside a checkout."""
     checkout = Path(__file__).parents[3]
-    # An environment inside another repository is not a checkout of softfin.
+    # An environment inside a different repository is not a checkout of softfin.
     if not (checkout / ".git").exists():
         return None
     command = ("git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")

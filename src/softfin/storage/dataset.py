@@ -1,4 +1,4 @@
-"""A dataset: a folder with Parquet logs, training logs in ``train/`` and test logs in ``test/``,
+"""A dataset: a folder with Parquet logs (training logs in ``train/`` and test logs in ``test/``)
 and a ``dataset.json``.
 
 If you add the logs by hand, ``{}`` suffices as ``dataset.json``; `write_dataset` adds metadata.
@@ -19,19 +19,20 @@ from softfin.storage.paths import DATASET_PARTS, list_logs
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """The logs in a folder. Opening the folder checks the hash of every file but reads no rows."""
+    """The logs in a dataset folder. Opening the folder checks the hash of every file but reads no
+    rows."""
 
     path: Path
     train: tuple[Path, ...]
-    """Training logs, at least one."""
+    """Training logs; at least one."""
     test: tuple[Path, ...]
-    """Test logs, recorded separately; may be empty."""
+    """Test logs, which were recorded separately; may be empty."""
     description: JsonObject
     """Contents of ``dataset.json``: rate_hz, files, data_hash and the writer's metadata
     (configuration, plant, provenance)."""
     data_hash: str
-    """SHA-256 over the names and contents of all logs; identifies the data that a surrogate was
-    fitted to."""
+    """SHA-256 over the names and contents of all logs; identifies the data to which a surrogate was
+    fitted."""
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
@@ -64,7 +65,7 @@ class Dataset:
         return cls(path, train, test, description, _hash_file(found))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
-        """Read logs one by one; raises LogError for a log that cannot be used for training."""
+        """Read logs one by one; raises LogError if a log cannot be used for training."""
         return map(read_log, paths)
 
 
@@ -75,7 +76,7 @@ def write_dataset(
     metadata: JsonObject,
     overwrite: bool = False,
 ) -> Dataset:
-    """Write logs as a dataset, one at a time; `metadata` is added to ``dataset.json``."""
+    """Write logs one at a time as a dataset; `metadata` is added to ``dataset.json``."""
 
     def write(folder: Path) -> None:
         for (part, digits), logs in zip(DATASET_PARTS.items(), (train, test), strict=True):
@@ -97,7 +98,7 @@ def write_dataset(
 
 
 def _hash_files(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of each log by its path within the folder, in a fixed order."""
+    """Return the SHA-256 of each log, keyed by its path within the folder, in a fixed order."""
     hashes = {}
     train, test = list_logs(path)
     # The order determines the data hash, so it must not change.

@@ -1,7 +1,8 @@
 """Style and file formats of all figures, which are readable in greyscale and by colour-blind
 readers. No global state.
 
-Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
+The colours are the palette of Okabe and Ito (2008), in an order in which neighbours also differ in
+lightness.
 """
 
 import contextlib
@@ -35,7 +36,7 @@ STYLE: Any = {
     "lines.linewidth": 1.2,
     "hatch.linewidth": 0.6,
     "savefig.dpi": 150,
-    # Text stays text: small files, searchable, in the reader's font.
+    # Text is stored as text, so files are small and searchable and use the reader's font.
     "svg.fonttype": "none",
     # The same figure always produces the same bytes.
     "svg.hashsalt": "softfin",
@@ -43,17 +44,17 @@ STYLE: Any = {
 
 
 def new_figure(width_in: int | float, height_in: int | float) -> Figure:
-    """Return an empty figure with automatic layout; draw in it within `styled`."""
+    """Return an empty figure with automatic layout; draw in it within the context `styled`."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def styled() -> contextlib.AbstractContextManager[None]:
-    """Return the context manager within which figures are drawn and saved."""
+    """Return the context manager in which figures must be drawn and saved."""
     return matplotlib.rc_context(STYLE)
 
 
 def save_figure(figure: Figure, file: Path) -> None:
-    """Write a figure in the format of the suffix, ``.png`` or ``.svg``."""
+    """Write a figure in the format given by the suffix, ``.png`` or ``.svg``."""
     artifacts.write_file(file, _render(figure, file.suffix[1:]))
 
 
@@ -66,5 +67,5 @@ def _render(figure: Figure, kind: str) -> bytes:
 
 
 def with_minus_signs(text: str) -> str:
-    """Replace hyphens with minus signs, for texts in which every hyphen is a minus sign."""
+    """Replace hyphens with minus signs in a text in which every hyphen is a minus sign."""
     return text.replace("-", "\N{MINUS SIGN}")

@@ -1,8 +1,8 @@
-"""Every kind of artifact that softfin writes, with its format number. This is the only such list.
+"""The only list of the artifact kinds that softfin writes, with their format numbers.
 
-A kind's number changes when other versions of softfin cannot read its files. Added keys do not
-change it. A file without a number has format 1. Configurations (YAML) have no number: their keys
-are checked by name.
+The number of a kind changes when other versions of softfin cannot read its files; additional keys
+do not change it. A file without a number has format 1. Configurations (YAML) have no number,
+because their keys are checked by name.
 """
 
 from collections.abc import Mapping
@@ -21,14 +21,14 @@ FOLDERS: Mapping[str, int] = {
     "robot": 1,
     "example": 1,
 }
-"""Formats of folders by kind; a ``KIND.json`` describes the folder."""
+"""Formats of folders, keyed by kind; a ``KIND.json`` describes each folder."""
 
 FILES: Mapping[str, int] = {"log": 1, "recording": 1}
-"""Formats of single files. Logs (Parquet) store the number in the schema's metadata, recordings
-(MCAP) in the channels' metadata."""
+"""Formats of single files. Logs (Parquet) store the number in the schema metadata; recordings
+(MCAP) store it in the channel metadata."""
 
 FORMATS: Mapping[str, int] = {**FOLDERS, **FILES}
-"""Formats of all artifacts by kind."""
+"""Formats of all artifacts, keyed by kind."""
 
 IN_FILE = "softfin_format"
 """Key of the format number in the metadata of single files; the value is a string."""

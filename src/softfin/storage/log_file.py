@@ -1,8 +1,8 @@
-"""A log as a Parquet file: seven named columns and any further channels, fully checked on writing
-and reading.
+"""A log as a Parquet file with seven named columns and any additional channels, fully checked on
+writing and reading.
 
-A Log is read back exactly as written. A log that cannot be used for training raises a LogError with
-the place and the cause.
+A Log is read back exactly as written. If a log cannot be used for training, a LogError states the
+location and the cause.
 """
 
 from pathlib import Path
@@ -18,14 +18,14 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FILES, IN_FILE, check_file_format
 
-# float64: a float32 cannot resolve 10 ms after 36 hours, nor Unix time (1.7e9 s) at all.
+# float64, because float32 cannot resolve 10 ms after 36 hours, let alone in Unix time (1.7e9 s).
 SCHEMA = pa.schema(
     [pa.field(name, pa.float64() if name == "time_s" else pa.float32()) for name in LOG_COLUMNS],
     metadata={IN_FILE: str(FILES["log"])},
 )
 
 RATE_TOLERANCE = 0.01
-"""Largest allowed relative error of the mean rate."""
+"""Maximum relative error of the mean rate."""
 
 Columns = dict[str, NDArray[np.floating]]
 
@@ -36,9 +36,9 @@ def write_log(path: Path, log: Log) -> None:
 
 
 def encode_log(log: Log, source: str) -> bytes:
-    """Return a log as the bytes of a Parquet file; raises LogError, naming `source`, if `read_log`
-    would reject it."""
-    # Transformations by JAX sort a dictionary, so the order is always alphabetical.
+    """Return a log as the bytes of a Parquet file; raises LogError, which contains `source`, if
+    `read_log` would reject the log."""
+    # JAX transformations sort dictionaries, so the order is always alphabetical.
     names = sorted(log.channels)
     if taken := [name for name in names if name in SCHEMA.names]:
         raise LogError(f"{source}: channel {taken[0]} is a column of every log; rename it")
@@ -59,9 +59,10 @@ def encode_log(log: Log, source: str) -> bytes:
 
 
 def read_log(path: Path) -> Log:
-    """Read a log as NumPy arrays; raises LogError with the file, row, column, value and fix.
+    """Read a log as NumPy arrays; raises LogError with the file, row, column, value and fix if it
+    is invalid.
 
-    Columns that a log need not have become its channels.
+    Optional columns become channels of the log.
     """
     table = read_parquet(path)
     names = table.schema.names
@@ -93,7 +94,7 @@ def read_log(path: Path) -> Log:
 
 def _to_channel(column: pa.ChunkedArray, name: str, path: Path) -> NDArray[np.float32]:
     try:
-        # Unlike the columns of every log, these may come from any program, in any numeric type.
+        # Unlike the required columns, these may come from any program and have any numeric type.
         return np.asarray(column.cast(pa.float32(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(
@@ -113,7 +114,7 @@ def check_columns(columns: Columns, source: str) -> None:
                 "this column); remove these rows, or split the log around them"
             )
     time = columns["time_s"]
-    # The order of the checks matters: a repeated or wrong time would also look like a wrong rate or
+    # The order of the checks matters: a repeated or wrong time would also appear as a wrong rate or
     # a gap.
     steps = np.diff(time)
     backward = np.flatnonzero(steps <= 0)
@@ -126,8 +127,8 @@ def check_columns(columns: Columns, source: str) -> None:
     if not steps.size:
         return
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
-    # Use the mean rate over at least a second without gaps, otherwise the median: at a wrong rate,
-    # every step looks like a gap.
+    # Use the mean rate over at least a second without gaps, or otherwise the median, because every
+    # step would appear as a gap at a wrong rate.
     is_steady = not uneven.size and steps.size >= RATE_HZ
     rate = steps.size / float(time[-1] - time[0]) if is_steady else 1 / float(np.median(steps))
     low, high = (1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE) if is_steady else (2 / 3, 2)
@@ -157,7 +158,7 @@ def read_parquet(path: Path) -> pa.Table:
         # Arrow decodes column names only on access.
         _ = table.schema.names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        # Arrow's own errors may be OSErrors as well, but without the system's reason.
+        # Arrow errors may also be OSErrors, but without the reason from the system.
         if isinstance(error, OSError) and error.strerror:
             raise LogError(
                 f"{path}: cannot be read ({error.strerror}); use the path of a Parquet file"

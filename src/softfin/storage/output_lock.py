@@ -1,8 +1,8 @@
 """A lock that lets only one process at a time write to an output folder.
 
-Two runs with the same output would delete each other's unfinished work. They lock the file
-``.NAME.lock`` next to the output, because the output itself is replaced during a run. The file is
-removed when the run ends. If a process is killed, its file remains, but it is no longer locked.
+Two runs with the same output would delete each other's unfinished work. Each run therefore locks
+the file ``.NAME.lock`` next to the output; the output itself is replaced during a run. The file is
+removed when the run ends. If a process is killed, the file remains but is no longer locked.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 
 
 def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Decorate a function so that it locks the folder in its argument `out` while it runs.
+    """Decorate a function so that it locks the folder given by its argument `out` while it runs.
 
     The function raises ArtifactError if another run holds the lock. On a file system without locks,
     it runs without one.
@@ -29,7 +29,7 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
 
     @wraps(stage)
     def run(*args: Arguments.args, **options: Arguments.kwargs) -> Result:
-        # Resolve links, because they can give one folder several names.
+        # Resolve links, because a folder can have several names.
         out = Path(parameters.bind(*args, **options).arguments["out"]).resolve()
         path = out.with_name(f".{out.name}.lock")
         missing = [folder for folder in path.parents if not folder.exists()]
@@ -38,11 +38,12 @@ def lock_output(stage: Callable[Arguments, Result]) -> Callable[Arguments, Resul
             return stage(*args, **options)
         finally:
             if descriptor is not None:
-                # Remove the file while it is still locked, so that no other process can hold it.
+                # Remove the file while it is still locked so that no other process can hold the
+                # lock.
                 with contextlib.suppress(OSError):
                     path.unlink()
                 unlock_file(descriptor)
-            # Those that were made for the lock, and that the run has left empty.
+            # Remove the folders that were created for the lock and are still empty.
             with contextlib.suppress(OSError):
                 for folder in missing:
                     folder.rmdir()
@@ -60,5 +61,5 @@ def _lock(out: Path, path: Path) -> int | None:
             "set a different --out"
         ) from None
     except (OSError, ImportError):
-        # The run works without a lock. If the folder cannot be written, the run reports that.
+        # Run without a lock. If the folder cannot be written, the run reports the problem.
         return None

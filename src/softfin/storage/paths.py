@@ -1,5 +1,5 @@
-"""Checks the files and folders that a user names, before any work starts. Uses neither NumPy nor
-JAX, so that mistakes are reported immediately."""
+"""Checks files and folders given by the user before any work starts. This module uses neither NumPy
+nor JAX, so mistakes are reported immediately."""
 
 import shlex
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
 BAGS = (".mcap", ".db3", ".bag")
 DATASET_PARTS = {"train": 4, "test": 3}
-"""Subfolders of a dataset, with the number of digits in the names of their logs."""
+"""Subfolders of a dataset, and the number of digits in their log names."""
 
 RIG_FILE = Path("rig.yaml")
 
@@ -56,7 +56,8 @@ def list_logs(dataset: Path) -> list[list[Path]]:
 
 
 def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
-    """Yield the recordings below a folder, without following links that lead back into it."""
+    """Yield the recordings below a folder, without following links that lead back into the
+    folder."""
     if path.is_file() or is_bag(path):
         if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path
@@ -67,7 +68,7 @@ def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether `path` is a ROS bag: the folder of one, or one of its files."""
+    """Return whether `path` is a ROS bag: a bag folder or a file of a bag."""
     is_bag_file = path.suffix.lower() in BAGS and path.is_file()
     return is_bag_file or (path / "metadata.yaml").is_file()
 

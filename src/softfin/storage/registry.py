@@ -1,8 +1,8 @@
 """Finds plants by name: ``tank``, a tank YAML file, a surrogate folder or
 ``package.module:plant``.
 
-Fins that move in real time are ``rig`` and ``ros2``, optionally with ``:FILE``;
-`softfin.rig.robot_setup` opens them. A folder that has the name of a plant must be written as
+Real fins are called ``rig`` and ``ros2``, optionally followed by ``:FILE``;
+`softfin.rig.robot_setup` opens them. A folder with the name of a plant must be written as
 ``./tank``. JAX is imported only when a plant is built.
 """
 
@@ -27,7 +27,7 @@ TANK = "tank"
 """Name of the virtual tank."""
 
 LIVE = ("rig", "ros2")
-"""Names of fins that move in real time."""
+"""Names of real fins, which move in real time."""
 
 HELP = (
     "tank, a tank YAML file, a surrogate folder (./NAME if it has the name of a plant), or "
@@ -36,20 +36,21 @@ HELP = (
 
 
 def is_live(name: str) -> bool:
-    """Whether `name` refers to a fin that moves in real time."""
+    """Return whether `name` refers to a real fin."""
     return name.partition(":")[0] in LIVE
 
 
 def is_surrogate(name: str) -> bool:
-    """Whether `name` refers to a surrogate folder."""
+    """Return whether `name` refers to a surrogate folder."""
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
 def resolve_plant(name: str) -> "Callable[[], Plant]":
-    """Return a function that builds the plant `name`; raises a PlantError that lists the possible
-    names."""
+    """Return a function that builds the plant `name`; if the plant does not exist, raises
+    PlantError with the possible names."""
     path = Path(name)
-    # Surrogates and tanks are in packages that depend on this one, so they are imported by name.
+    # Surrogates and tanks are in packages that depend on this package, so they are imported by
+    # name.
     if is_live(name):
         folder = f"; for the folder of this name, use ./{name}" if path.exists() else ""
         raise PlantError(
@@ -72,7 +73,7 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
 
 
 def check_plant(name: "str | Path | Plant") -> None:
-    """Raise a PlantError if there is no simulated plant of this name."""
+    """Raise PlantError if there is no simulated plant with this name."""
     if isinstance(name, str | Path):
         resolve_plant(_name_path(name))
 
@@ -85,7 +86,7 @@ def _name_path(name: str | Path) -> str:
 
 
 def check_data(name: "str | Path | Plant") -> None:
-    """Raise a SoftfinError if `name` is neither a folder of logs nor a plant."""
+    """Raise SoftfinError if `name` is neither a folder of logs nor a plant."""
     if not isinstance(name, str | Path):
         _check_is_plant(name, "data")
         return
@@ -97,8 +98,8 @@ def check_data(name: "str | Path | Plant") -> None:
 
 
 def find_plant(name: "str | Path | Plant") -> "Plant":
-    """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
-    Raises a PlantError that lists the possible names."""
+    """Build or load the plant `name`, or return `name` unchanged if it is already a plant. If the
+    plant does not exist, raises PlantError with the possible names."""
     if not isinstance(name, str | Path):
         return _check_is_plant(name, "plant")
     from softfin.core.quantities import Limits
@@ -119,8 +120,8 @@ def find_plant(name: "str | Path | Plant") -> "Plant":
 
 
 def check_precision() -> None:
-    """Raise ConfigurationError if JAX computes in double precision, with which softfin's programs
-    do not compile."""
+    """Raise ConfigurationError if JAX computes in double precision, because softfin's programs
+    would not compile."""
     import jax
 
     if cast(Any, jax.config).read("jax_enable_x64"):
@@ -131,7 +132,7 @@ def check_precision() -> None:
 
 
 def _check_simulator(plant: "Plant", name: str) -> None:
-    """Raise a PlantError if a user's simulator has no identity or cannot be traced."""
+    """Raise PlantError if a user's simulator has no identity or cannot be traced."""
     import jax
 
     from softfin.core.plant import rest_command
@@ -150,7 +151,7 @@ def _check_simulator(plant: "Plant", name: str) -> None:
 
 
 def plant_name(plant: object) -> str:
-    """Return the name under which a user selected a plant, or the name of its class."""
+    """Return the name by which the user selected a plant, or the name of its class."""
     return str(plant) if isinstance(plant, str | Path) else type(plant).__name__
 
 
@@ -163,7 +164,7 @@ def _build_tank(name: str) -> Any:
 
 def import_object(name: str) -> Any:
     """Import ``package.module:attribute`` from the current folder or an installed package; raises
-    any error of the module."""
+    any error that the module raises."""
     module, _, attribute = name.partition(":")
     with _current_folder_on_path():
         return getattr(importlib.import_module(module), attribute)
@@ -171,7 +172,7 @@ def import_object(name: str) -> Any:
 
 @contextmanager
 def _current_folder_on_path() -> Iterator[None]:
-    # As for `python -m`: users usually keep their own modules in the working directory.
+    # As with `python -m`, because users usually keep their own modules in the working directory.
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
@@ -181,8 +182,8 @@ def _current_folder_on_path() -> Iterator[None]:
 
 
 def _import_plant(name: str, build: bool = False) -> Any:
-    """Import ``package.module:attribute``. With `build`, return the plant: the attribute itself, or
-    the result of calling it."""
+    """Import ``package.module:attribute``. With `build`, return the plant, which is the attribute
+    itself or the result of calling it."""
     try:
         plant = import_object(name)
         if not build:
@@ -200,7 +201,7 @@ def _import_plant(name: str, build: bool = False) -> Any:
 
 
 def _check_is_plant(plant: object, name: str) -> "Plant":
-    """Return a plant; raises a PlantError for any other object."""
+    """Return the object if it is a plant; otherwise raise PlantError."""
     from softfin.core.plant import Plant
 
     if not isinstance(plant, Plant):

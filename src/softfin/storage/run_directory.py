@@ -1,9 +1,9 @@
-"""Work in progress, next to its output: a folder ``.NAME.unfinished`` with the last checkpoint and
+"""Unfinished work: a folder ``.NAME.unfinished`` next to the output, with the last checkpoint and
 the training log.
 
-A checkpoint is a safetensors file: a pytree of arrays, named by their paths, and metadata as JSON,
-including the versions that wrote it. It is replaced by a rename, so a process killed at any time
-leaves either the old or the new checkpoint.
+A checkpoint is a safetensors file that contains a pytree of arrays, named by their paths, and
+metadata as JSON, including software versions. A checkpoint is replaced by a rename, so a process
+killed at any time leaves either the old or the new checkpoint.
 """
 
 import importlib.metadata
@@ -27,12 +27,11 @@ Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
 TRAINING_LOG = "training"
-"""Subfolder of a finished artifact with ``log.jsonl`` and a description of the run that wrote
-it."""
+"""Subfolder of a finished artifact with ``log.jsonl`` and a description of the run."""
 RUN = "run.json"
 LOG = "log.jsonl"
 FIX = "free disk space, then use --resume"
-"""Fix in the error message if a file of an unfinished run cannot be written."""
+"""Suggested fix if a file of an unfinished run cannot be written."""
 
 
 class RunDirectory:
@@ -41,16 +40,16 @@ class RunDirectory:
     def __init__(
         self, out: Path, fingerprint: JsonObject, resume: bool = False, overwrite: bool = False
     ) -> None:
-        """Claim ``.NAME.unfinished`` next to `out`: continue it with `resume`, or empty it with
-        `overwrite`. The fingerprint of configuration, data and seed identifies a run.
+        """Claim ``.NAME.unfinished`` next to `out`; continue the work in it with `resume`, or
+        discard it with `overwrite`. A fingerprint of configuration, data and seed identifies a run.
 
-        Raises ArtifactError if there is unfinished work and neither flag is set, and with `resume`
-        if the unfinished or finished work belongs to a different run.
+        Raises ArtifactError if there is unfinished work and neither flag is set, or if `resume` is
+        set and the unfinished or finished work belongs to a different run.
         """
-        # Next to the lock of the output, whatever the name by which it is reached.
+        # Next to the output lock, even if the output is reached through a link.
         self.folder = out.resolve().with_name(f".{out.resolve().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
-        # With `resume`, a run whose artifact is already finished needs no further work.
+        # With `resume`, a run with a finished artifact needs no further work.
         finished = out / TRAINING_LOG / RUN
         self.complete = resume and not overwrite and finished.is_file()
         """Whether `out` already contains the finished artifact of this run."""
@@ -72,7 +71,7 @@ class RunDirectory:
             if self.folder.exists():
                 shutil.rmtree(self.folder)
         except OSError as error:
-            # Its checkpoint would be taken for one of this run.
+            # Otherwise, its checkpoint could be mistaken for a checkpoint of this run.
             raise RunError(
                 f"{self.folder}: cannot be removed ({error.strerror or error}); remove it yourself"
             ) from None
@@ -87,14 +86,14 @@ class RunDirectory:
         )
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
-        """Return the last checkpoint, with the structure of `like`; None if there is none yet.
-        Raises ArtifactError for a checkpoint of a different structure."""
+        """Return the last checkpoint with the structure of `like`; None if there is no checkpoint
+        yet. Raises ArtifactError if the checkpoint has a different structure."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
         expected = name_leaves(like)
-        # By name, because leaves of the same shape could otherwise be exchanged.
+        # Leaves are matched by name, because leaves of the same shape could otherwise be swapped.
         check_same(path, _describe(arrays), _describe(expected), "start again with --overwrite")
         leaves = [jnp.asarray(arrays[name]) for name in expected]
         return jax.tree.unflatten(jax.tree.structure(like), leaves), metadata
@@ -111,7 +110,7 @@ class RunDirectory:
             raise ArtifactError(
                 f"{path}: damaged ({error}); start again with --overwrite"
             ) from None
-        # The training state and the next random numbers depend on both versions.
+        # The training state and the random numbers depend on both versions.
         current = software_versions()
         if software != current:
             raise ArtifactError(
@@ -122,12 +121,13 @@ class RunDirectory:
         return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
-        """Open the training log. When a run resumes, entries after step `rewind_to` are dropped,
+        """Open the training log. When a run resumes, entries after step `rewind_to` are dropped
         because they will be written again."""
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, artifact: Path) -> None:
-        """Copy the training log to a finished artifact, with the run's fingerprint."""
+        """Copy the training log to a finished artifact, together with the fingerprint of the
+        run."""
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
@@ -144,14 +144,14 @@ class RunLog:
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
         self.path = folder / LOG
-        # Without a step to rewind to, the run starts from the beginning, so discard all old
+        # If there is no step to rewind to, the run starts from the beginning, so discard all old
         # entries.
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept), FIX)
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step, with null for non-finite values.
+        """Append the scalars of one step; non-finite values become null.
 
         Raises RunError if the file cannot be written, for example because the disk is full.
         """
@@ -165,7 +165,7 @@ class RunLog:
 
 
 def read_training_log(path: Path) -> list[JsonObject]:
-    """Return the entries of a ``log.jsonl``, up to the first line damaged by a crash or a power
+    """Return the entries of a ``log.jsonl`` up to the first line damaged by a crash or a power
     cut."""
     entries = []
     for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
@@ -177,7 +177,7 @@ def read_training_log(path: Path) -> list[JsonObject]:
 
 
 def software_versions() -> str:
-    """Return the versions on which a run depends."""
+    """Return the software versions on which a run depends."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
@@ -193,8 +193,8 @@ def check_same(
     now: object,
     remedy: str = "use the same options, choose a different --out, or use --overwrite",
 ) -> None:
-    """Raise ArtifactError unless the run at a path is the current one; nested mappings describe
-    both."""
+    """Raise ArtifactError unless the run at a path is the same as the current run; both are
+    described by nested mappings."""
     if before != now:
         changes = describe_changes(name_leaves(before), name_leaves(now))
         raise ArtifactError(f"{path}: belongs to a different run ({changes}); {remedy}")

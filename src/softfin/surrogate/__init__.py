@@ -1,7 +1,7 @@
 """Models of the fin, fitted to logs: the paper's networks (Sec. III-B) and streaming ensembles.
 
-``__init__.pyi`` lists the names, each imported on first use, so that `softfin.surrogate.registry`
-needs no JAX.
+``__init__.pyi`` lists the names. Each is imported on first use, so `softfin.surrogate.registry`
+does not need JAX.
 """
 
 import lazy_loader

@@ -1,8 +1,9 @@
-"""The input and output channels of surrogates, by name: their scaling (``scaled = x * scale +
-offset``) and their training range.
+"""The input and output channels of surrogates: their scaling (``scaled = x * scale + offset``) and
+training range, by name.
 
-Every controller trained in a surrogate stores the training range and the fin's name. A rig rejects
-controllers for other fins, and stops a controller far outside its training data.
+Every controller trained in a surrogate stores the training range and the name of the fin. A rig
+rejects controllers for other fins, and stops the fin if it moves far outside the training data of
+the controller.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,22 +25,22 @@ ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
 COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
-"""Channels of the paper's networks: the inputs of ForceNet, which include PosNet's, then its
-outputs."""
+"""Channels of the paper's networks: the inputs of ForceNet, which include the inputs of PosNet,
+then the outputs of ForceNet."""
 
 SKIPPED = 100
-"""Number of rows at the start of a log that Table I does not score: the first window of PosNet and
+"""Number of unscored rows at the start of a log in Table I: the first window of PosNet and
 ForceNet."""
 
 UNKNOWN: Mapping[str, None] = {"training_range": None, "fin": None}
-"""Entries for plants that are not surrogates, and for surrogates without this information."""
+"""Entries for plants other than surrogates, and for surrogates without this information."""
 
 
 class NetPrediction(NamedTuple):
-    """Predictions of a network for several logs; one row of Table I."""
+    """Predictions of a network for several logs: one row of Table I."""
 
     title: str
-    """Network and its inputs."""
+    """Name of the network and its inputs."""
     channels: tuple[str, ...]
     series: Sequence[Float[np.ndarray, "predicted channels"]]
     """Predictions for each log [rad or N]; the first rows of a log may have none."""
@@ -55,9 +56,9 @@ class ChannelScaling(Configuration):
     scale: float = Field(gt=0)
     offset: float
     data_min: float
-    """Minimum of the training data, in the channel's unit."""
+    """Minimum of the training data in the unit of the channel."""
     data_max: float
-    """Maximum of the training data, in the channel's unit."""
+    """Maximum of the training data in the unit of the channel."""
 
 
 class Scaling(Configuration):
@@ -71,10 +72,10 @@ class Scaling(Configuration):
 
     @classmethod
     def fit(cls, logs: Sequence[Log]) -> "Scaling":
-        """Return the scaling that maps the range of each channel in the training logs to [0, 1].
+        """Return the scaling that maps the range of each channel in training logs to [0, 1].
 
         Raises:
-            LogError: a channel never changes.
+            LogError: If a channel never changes.
         """
         channels = {}
         for name, (low, high) in ranges(logs, COLUMNS).items():
@@ -104,7 +105,7 @@ class Scaling(Configuration):
         return values * self.channels[name].scale + self.channels[name].offset
 
     def physical(self, names: Sequence[str], scaled: Float[AnyArray, "*shape {len(names)}"]) -> Any:
-        """Convert scaled values back to the units of the channels `names`."""
+        """Convert scaled values of the channels `names` back to their units."""
         scale = np.asarray([self.channels[name].scale for name in names], np.float32)
         offset = np.asarray([self.channels[name].offset for name in names], np.float32)
         return (scaled - offset) / scale
@@ -130,7 +131,7 @@ def stack_channels(logs: Sequence[Log]) -> Float[np.ndarray, "channels rows"]:
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
     """Return the minimum and maximum of the channels `names` over all logs.
 
-    For the readings of the training logs, this is the training range of a surrogate.
+    For the readings in training logs, this is the training range of a surrogate.
     """
     columns = to_columns(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
@@ -143,7 +144,7 @@ def learnt_from(plant: object) -> JsonObject:
         return dict(UNKNOWN)
     description = artifacts.load_description(Path(plant), "surrogate")
     entries = {name: description.get(name) for name in UNKNOWN}
-    # For imported surrogates, only the scaling contains the range of the channels.
+    # In imported surrogates, only the scaling contains the channel ranges.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
         training_range = {}
         for name in READINGS:

@@ -1,4 +1,4 @@
-"""Contracts of a surrogate, as the rest of softfin uses it, and of an architecture of surrogates.
+"""Interfaces of surrogates and of surrogate architectures.
 
 `softfin.testing.check_surrogate` checks a surrogate. CONTRIBUTING.md describes how to add an
 architecture.
@@ -24,14 +24,14 @@ COVERAGE = 0.9
 class SurrogatePlant(Plant, Protocol):
     """A plant fitted to logs.
 
-    Its state is a NamedTuple whose first field, `tick`, counts the samples since the start; nothing
-    else depends on the time. A surrogate that estimates its own error is also an `EnsemblePlant`.
+    Its state is a NamedTuple whose first field, `tick`, counts the samples since the start; no
+    other field depends on the time. A surrogate that estimates its own error is also an
+    `EnsemblePlant`.
     """
 
     @property
     def model(self) -> str:
-        """Name of the architecture, as `softfin.surrogate.registry.find_architecture` accepts
-        it."""
+        """Name of the architecture, accepted by `softfin.surrogate.registry.find_architecture`."""
 
     @property
     def memory(self) -> int:
@@ -39,56 +39,57 @@ class SurrogatePlant(Plant, Protocol):
 
     @property
     def scaling(self) -> Scaling | None:
-        """Scaling of the channels, in which Table I also states its scores. None: they are divided
-        by the measured ranges instead."""
+        """Scaling of the channels for the scaled scores in Table I; None to divide these scores by
+        the measured ranges instead."""
 
     def warm(self, history: Log) -> State:
         """Return the state after the last `memory` rows of a history.
 
-        The command of the last row has not acted yet; it is the first one passed to `advance`.
-        Raises LogError if the history is too short.
+        The command of the last row has not taken effect yet and is the first one passed to
+        `advance`. Raises LogError if the history is too short.
         """
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Predict the last rows of each log with each network, by name: the rows of Table I."""
+        """Predict the last rows of each log with each network; returns the rows of Table I, by
+        network name."""
 
     def parameters(self) -> int:
         """Return the number of trainable parameters."""
 
     def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
-        """Return the entries of ``surrogate.json``, and the arrays by name, from which
-        `Architecture.load` builds the same surrogate."""
+        """Return the entries of ``surrogate.json`` and the arrays by name; `Architecture.load`
+        rebuilds the surrogate from them."""
 
 
 @runtime_checkable
 class ExplorableSurrogate(SurrogatePlant, Protocol):
-    """A surrogate that the explorer page can simulate: its script ``surrogate.js`` computes the
-    same."""
+    """A surrogate that the explorer page can simulate, because the script ``surrogate.js`` computes
+    the same predictions."""
 
     def explorer_data(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
         """Return the entries and arrays that the script reads."""
 
 
 class SurrogateConfig(Configuration):
-    """Configuration of the fit of a surrogate; its class selects the architecture."""
+    """Configuration for fitting a surrogate; its class selects the architecture."""
 
     model: ClassVar[str]
-    """Name of the architecture, as for `SurrogatePlant.model`."""
+    """Name of the architecture, as in `SurrogatePlant.model`."""
 
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out to choose the weights, and to calibrate intervals; at
-    least one log. Without test logs, the surrogate is scored on them."""
+    """Fraction of the training logs (at least one log) held out to choose the weights and to
+    calibrate intervals. Without test logs, the surrogate is scored on the held-out logs."""
 
 
 class Architecture(NamedTuple):
-    """An architecture of surrogates: softfin's own, or ``package.module:ARCHITECTURE``."""
+    """A surrogate architecture: softfin's own, or ``package.module:ARCHITECTURE``."""
 
     config: type[SurrogateConfig]
-    """Configuration of the fit, which has a default for each field."""
+    """Configuration for the fit, with a default for each field."""
     fit: Callable[..., SurrogatePlant]
     """Function ``(logs, config, seed, run_directory, progress)`` that fits a surrogate to the
-    training logs, and continues from the checkpoint in `run_directory`, if any."""
+    training logs. It resumes from the checkpoint in `run_directory` if there is one."""
     load: Callable[[JsonObject, dict[str, np.ndarray], str], SurrogatePlant]
     """Function ``(description, weights, source)`` that builds a surrogate from the content of
-    ``surrogate.json`` and its arrays. `source` is the name of that file for error messages; a
+    ``surrogate.json`` and the arrays. `source` is the file name for error messages; a
     ConfigurationError, KeyError, TypeError or ValueError is converted to an ArtifactError."""

@@ -1,6 +1,6 @@
-"""Finds architectures of surrogates by name: softfin's own, or ``package.module:ARCHITECTURE``.
+"""Finds surrogate architectures by name: softfin's own, or ``package.module:ARCHITECTURE``.
 
-An architecture is imported on first use, so naming softfin's own needs no JAX.
+An architecture is imported on first use, so the names are available without JAX.
 """
 
 from typing import TYPE_CHECKING
@@ -32,7 +32,7 @@ def find_architecture(name: str) -> "Architecture":
     current folder or an installed package.
 
     Raises:
-        ConfigurationError: there is no such architecture, or its module cannot be imported.
+        ConfigurationError: If there is no such architecture, or its module cannot be imported.
     """
     place = ARCHITECTURES.get(name, name)
     if ":" not in place:

@@ -24,16 +24,16 @@ def save_surrogate(
     overwrite: bool = False,
     **metadata: object,
 ) -> None:
-    """Write the folder of a surrogate, completely or not at all.
+    """Write a surrogate folder, completely or not at all.
 
     Args:
         path: The folder.
         surrogate: The surrogate.
-        scores: Scores on test logs, if there are any.
-        provenance: Data, seed and versions from which the surrogate was made.
-        extra_files: Function that writes more files into the folder.
+        scores: Scores on test logs, if any.
+        provenance: Data, seed and software versions used for the fit.
+        extra_files: Function that writes additional files into the folder.
         overwrite: Replace an existing folder.
-        metadata: Further entries of ``surrogate.json``.
+        metadata: Additional entries of ``surrogate.json``.
     """
     entries, weights = surrogate.to_files()
     description = {
@@ -49,11 +49,11 @@ def save_surrogate(
 
 
 def load_surrogate(path: str | Path) -> SurrogatePlant:
-    """Load the surrogate in a folder. If its model is ``package.module:ARCHITECTURE``, this module
+    """Load the surrogate from a folder. If its model is ``package.module:ARCHITECTURE``, the module
     is imported from the current folder or an installed package.
 
     Raises:
-        ArtifactError: it is damaged, or has an unsupported rate, model or set of channels.
+        ArtifactError: If the folder is damaged, or its rate, model or channels are not supported.
     """
     check_precision()
     path = Path(path)
@@ -72,7 +72,8 @@ def load_surrogate(path: str | Path) -> SurrogatePlant:
         ) from error
     try:
         surrogate = architecture.load(description, weights, source)
-        # Validates the limits: those of the paper's networks come from the scaling, unchecked.
+        # Validate the limits, because the limits of the paper's networks come unchecked from the
+        # scaling.
         Limits.of(surrogate.limits.to_dict())
         return surrogate
     except ConfigurationError as error:

@@ -1,9 +1,9 @@
-"""Scores the predictions of surrogates for logs, as in the paper's Table I.
+"""Scores the predictions of surrogates for logs, as in Table I of the paper.
 
 The paper does not state how it normalises the distance of dynamic time warping (DTW). softfin
 divides the minimum sum of |difference| over all warping paths within a Sakoe-Chiba band of 1 s by
-the number of samples, so the result is at most the mean absolute error. DTW hides a lag, so it is
-always reported with the RMSE.
+the number of samples, so the result is at most the mean absolute error. DTW hides lags, so it is
+always reported together with the RMSE.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,8 @@ from softfin.surrogate.channels import ANGLE, FORCES, NetPrediction, ranges, to_
 from softfin.surrogate.protocol import SurrogatePlant
 
 DTW_BAND = 100
-"""Half-width of the Sakoe-Chiba band [samples]. A lag of more than 1 s is a different motion."""
+"""Half-width of the Sakoe-Chiba band [samples]; motions that are more than 1 s apart are treated as
+different."""
 
 Samples = Float[np.ndarray, "samples"]
 
@@ -52,11 +53,11 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
 
 
 def table_one(surrogate: SurrogatePlant, logs: Sequence[Log]) -> JsonObject:
-    """Return Table I: title, unit, window, number of parameters and scores by network, averaged
-    over logs and channels.
+    """Return Table I: title, unit, window, number of parameters and scores of each network,
+    averaged over logs and channels.
 
     ``physical`` scores are in rad or N. ``scaled`` scores are multiplied by the scale factors of
-    the surrogate; if it has none, they are divided by the measured range.
+    the surrogate, or divided by the measured range if there are none.
     """
     scales = {}
     for name, span in measured_ranges(logs).items():
@@ -98,7 +99,7 @@ def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
     """Return the range of the measured values of each channel over test logs.
 
     Raises:
-        LogError: a channel never changes.
+        LogError: If a channel never changes.
     """
     spans = {}
     for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():

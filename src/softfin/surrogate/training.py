@@ -1,5 +1,5 @@
-"""Training and storage shared by the architectures of surrogates: data split, best weights so far,
-and the names of weights in files."""
+"""Training and storage shared by the surrogate architectures: data split, best weights so far, and
+names of weights in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,20 +14,20 @@ from softfin.core.quantities import Log
 from softfin.storage.run_directory import name_leaves, name_path
 
 UPDATES_A_CALL = 50
-"""Maximum number of updates per call of a compiled program; progress is shown between calls."""
+"""Maximum number of updates per call of a compiled program; progress is reported between calls."""
 
 
 class TrainingState(NamedTuple):
     """State of a training run, complete enough to resume it.
 
-    It contains either several networks, or one network whose arrays have a leading axis
+    The state contains either several networks or one network whose arrays have a leading axis
     ``members``.
     """
 
     nets: PyTree
     optimiser: PyTree
     best: PyTree
-    """Weights with the lowest held-out loss so far, for each network or member."""
+    """Weights of each network or member with the lowest held-out loss so far."""
     best_loss: PyTree
     """Held-out loss of the best weights: a scalar for each network, or an array ``(members,)``."""
 
@@ -35,13 +35,13 @@ class TrainingState(NamedTuple):
 def keep_best_nets(
     state: TrainingState, losses: PyTree, held_out: object, name: str
 ) -> tuple[TrainingState, bool]:
-    """Keep the weights of each network or member if its held-out loss is the lowest so far.
+    """Keep the weights of each network or member if their held-out loss is the lowest so far.
 
     Returns:
         The new state, and whether any loss improved.
 
     Raises:
-        RunError: a loss is not finite.
+        RunError: If a loss is not finite.
     """
     for leaf in jax.tree.leaves((losses, held_out)):
         if not np.isfinite(leaf).all():
@@ -67,23 +67,24 @@ def keep_best_nets(
 
 
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
-    """Split logs into training logs and held-out logs, which are the last ones.
+    """Split logs into training logs and held-out logs; the last logs are held out.
 
     Raises:
-        LogError: there are fewer than two logs.
+        LogError: If there are fewer than two logs.
     """
     if (count := len(logs)) < 2:
         raise LogError(
             f"training logs: found {count}, expected at least 2, one for training and one held "
             "out; record more, or split a long file into logs with --rows-per-log"
         )
-    # Whole logs, not rows: neighbouring rows of one log are almost equal, and share its drift.
+    # Complete logs are held out instead of rows, because neighbouring rows of a log are almost
+    # equal and share the same drift.
     held_out = min(count - 1, max(1, round(count * share)))
     return logs[:-held_out], logs[-held_out:]
 
 
 def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
-    """Raise LogError if a log is too short to predict even one row."""
+    """Raise LogError if a log is too short to predict at least one row."""
     for index, log in enumerate(logs):
         if log.rows <= window:
             raise LogError(
@@ -103,8 +104,8 @@ def check_history(history: Log, memory: int) -> None:
 def window_starts(rows: Sequence[int], window: int, first: int = 0) -> Int[np.ndarray, "windows"]:
     """Return the first rows of all windows in concatenated logs.
 
-    Windows start at row `first` of each log or later. The row after a window, which is the
-    prediction target, is in the same log.
+    Windows start at row `first` of each log or later. The row after a window is the prediction
+    target and is in the same log.
     """
     starts = []
     offset = 0
@@ -123,7 +124,7 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
     """Build networks from their shapes and the arrays of `name_net_arrays`.
 
     Raises:
-        ArtifactError: an array is missing, has a different shape, or is not finite.
+        ArtifactError: If an array is missing, has a different shape, or is not finite.
     """
 
     def leaf(path: tuple[object, ...], like: jax.ShapeDtypeStruct) -> Array:

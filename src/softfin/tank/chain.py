@@ -1,10 +1,10 @@
 """A planar chain of rigid plates, hinged end to end: its pose, its motion, and the effect of loads
-on its plates.
+on the plates.
 
-Plate i extends from its inner end, which is nearer the shaft, along d(phi) = (-cos phi, sin phi).
-Its normal is n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so the
-length is conserved exactly. Each plate's loads, momenta and motions are resolved along n and d, at
-its inner end.
+Plate i extends from its inner end, which is the end nearer to the shaft, along d(phi) = (-cos phi,
+sin phi). Its normal is n = d' = (sin phi, cos phi). The absolute angles phi are the only
+coordinates, so the length is conserved exactly. The loads, momenta and motions of a plate are
+resolved along n and d at the inner end.
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ PlateMatrix = Float[Array, "plates plates"]
 
 
 class Pose(NamedTuple):
-    """Velocity of the inner end of plate i per angular velocity of plate j [m]: rows i, columns j,
-    zero unless j < i."""
+    """Velocity of the inner end of plate i divided by the angular velocity of plate j [m]: rows i,
+    columns j; zero unless j < i."""
 
     normal: PlateMatrix
     """Component along the normal of plate i."""
@@ -68,9 +68,9 @@ class Moments(NamedTuple):
     """Integral of the mass per length along d."""
 
     def times(self, motion: PlateMotion) -> PlateWrench:
-        """Return the momentum of a motion, or for drag the force that resists it."""
-        # At s, the velocity along n is normal + s * turning, and that along d is the same as at the
-        # inner end.
+        """Return the momentum of a motion, or, for drag, the force that resists the motion."""
+        # At s, the velocity along n is normal + s * turning; the velocity along d is the same as at
+        # the inner end.
         return PlateWrench(
             self.zeroth * motion.normal + self.first * motion.turning,
             self.along * motion.along,
@@ -82,8 +82,8 @@ def pose(angles: PerPlate, plate_length: Scalar) -> Pose:
     """Return the pose of a chain with plates at the absolute `angles` [rad]."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
-    # Plate j moves the inner end of plate i with l phi_j' n_j. Its components are
-    # l cos(phi_i - phi_j) along n_i and l sin(phi_i - phi_j) along d_i.
+    # Plate j moves the inner end of plate i at the velocity l phi_j' n_j. The components are l
+    # cos(phi_i - phi_j) along n_i and l sin(phi_i - phi_j) along d_i.
     lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
     return Pose(
         lever * (cos[:, None] * cos[None] + sin[:, None] * sin[None]),
@@ -106,16 +106,16 @@ def components(angles: PerPlate, velocity: PlanarVector) -> PlateMotion:
 
 def project(pose: Pose, wrench: PlateWrench) -> PerPlate:
     """Return the generalized force of the wrenches on each absolute angle [N m]."""
-    # The principle of virtual work: the transpose of the map from rates to motion.
+    # By the principle of virtual work, this is the transpose of the map from rates to motion.
     levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
     return levers.sum(0) + wrench.moment
 
 
 def momentum_matrix(pose: Pose, moments: Moments) -> PlateMatrix:
-    """Return the symmetric matrix that maps angular velocities to generalized momenta, or for drag
-    to the moments that resist them.
+    """Return the symmetric matrix that maps angular velocities to generalized momenta, or, for
+    drag, to the resisting moments.
 
-    It equals ``project(pose, moments.times(motion(pose, rates)))`` as a matrix.
+    It is the matrix of the map ``project(pose, moments.times(motion(pose, rates)))``.
     """
     normal = pose.normal
     along = pose.along
@@ -127,14 +127,14 @@ def momentum_matrix(pose: Pose, moments: Moments) -> PlateMatrix:
 
 
 def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrench:
-    """Return minus the rate of change of the momentum of each plate at constant angular velocities,
+    """Return the negative rate of change of each plate's momentum at constant angular velocities,
     by Kirchhoff's equations.
 
-    In the axes of a plate, the rate of change of a momentum p includes turning x p; that of the
-    angular momentum about a moving point also includes velocity x p.
+    In the axes of a plate, the rate of change of a momentum p includes turning x p. The rate of
+    change of the angular momentum about a moving point also includes velocity x p.
     """
     squares = motion.turning**2
-    # Rates of change of the components of the inner end's velocity along n and d.
+    # Rates of change of the velocity components of the inner end along n and d.
     rise = (pose.along * squares).sum(1) - motion.along * motion.turning
     slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
     momentum = inertia.times(motion)
@@ -146,7 +146,7 @@ def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrenc
 
 
 def resultant(angles: PerPlate, wrench: PlateWrench) -> PlanarVector:
-    """Return the sum of the forces in the tank's axes, (x, y)."""
+    """Return the sum of the forces (x, y) in tank axes."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     return jnp.stack(
@@ -195,11 +195,12 @@ def _eliminated(
 ) -> Float[Array, "rights n"]:
     """Solve a symmetric positive definite system by unrolled elimination without pivoting.
 
-    A batch of such small systems becomes a few long vector operations, while LAPACK would need one
-    call per fin.
+    A batch of such small systems becomes a few long vector operations, whereas LAPACK would need
+    one call per fin.
     """
     size = matrix.shape[0]
-    # From tip to root. Only the lower triangle is updated, because the matrix stays symmetric.
+    # Eliminate from tip to root. Only the lower triangle is updated, because the matrix stays
+    # symmetric.
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
     sides = [rights[:, i] for i in range(size)]
     for k in reversed(range(1, size)):

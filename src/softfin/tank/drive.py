@@ -1,11 +1,11 @@
-"""The drive: a positioning controller in profile position mode, a motor and a gearbox. Commands in,
-shaft motion out.
+"""The drive: a positioning controller in profile position mode, a motor and a gearbox. It converts
+commands to shaft motion.
 
 The controller follows a trapezoidal velocity profile to the target angle at the commanded velocity,
 within an acceleration limit. The profile is replanned in each step from its current state, so a
 command may arrive at any time, even mid-stroke. A servo with limited torque makes the motor follow
 the profile against the load of the fin. The gearbox between motor and fin may have backlash. The
-encoder is on the motor. All angles, torques and inertias refer to the fin's side of the gearbox.
+encoder is on the motor. All angles, torques and inertias refer to the fin side of the gearbox.
 
 Equations: docs/appendix/tank.md, "Drive".
 """
@@ -28,16 +28,16 @@ DEAD_TICKS = 20
 """Maximum dead time [10 ms]."""
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
-"""Motor current per torque at the fin [A/(N m)], assuming a gear ratio of 111:1 and a torque
-constant of 25.9 mN m/A."""
+"""Motor current divided by torque at the fin [A/(N m)], for an assumed gear ratio of 111:1 and a
+torque constant of 25.9 mN m/A."""
 
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.
 
-    The defaults of velocity, acceleration, dead time and lag come from a calibration against the
-    published fin (docs/appendix/tank.md). Those of motor and gearbox are catalogue values for an
-    assumed reduction of 111:1.
+    The default velocity, acceleration, dead time and lag come from a calibration against the
+    published fin (docs/appendix/tank.md). The motor and gearbox defaults are catalogue values for
+    an assumed reduction of 111:1.
     """
 
     angle_min_rad: float = PAPER_LIMITS.angle_min
@@ -53,16 +53,16 @@ class DriveConfig(Configuration):
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
     """Delay from a command to its first effect on the profile [s], caused by computer and bus."""
     lag_s: float = Field(0.001, ge=0)
-    """Following error divided by velocity [s], caused by the servo's velocity damping."""
+    """Following error divided by velocity [s], caused by velocity damping in the servo."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
-    """Servo torque per following error [N m/rad]."""
+    """Servo torque divided by following error [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
     """Inertia of the rotor and gearbox times the square of the gear ratio [kg m2]; 22.6e-7 kg m2 at
     111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
     """Maximum torque of the motor and gearbox [N m]; the limit of a 32 mm planetary gearbox."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
-    """Backlash of the gearbox from end to end [rad]; catalogues state 0.003 to 0.017."""
+    """Backlash of the gearbox from end to end [rad]; 0.003 to 0.017 in catalogues."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
     """Encoder resolution [rad], for 2000 counts per turn at 111:1; 0 for no quantization."""
 
@@ -113,7 +113,7 @@ class Drive(eqx.Module):
         ) = config_arrays(config, without=LIMIT_FIELDS)
 
     def rest(self, angle_rad: float = 0.0) -> DriveState:
-        """Return the state at rest at an angle, with a queue of commands to stay there."""
+        """Return the state at rest at an angle, with a queue of commands for the same angle."""
         zero = jnp.zeros_like(self.lag)
         angle = jnp.full_like(zero, angle_rad)
         waiting = Command(
@@ -122,8 +122,8 @@ class Drive(eqx.Module):
         return DriveState(angle, zero, angle, zero, zero, waiting)
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """Add a command to the queue; also return the command that the profile follows in the next
-        tick."""
+        """Add a command to the queue; return the new state and the command that the profile follows
+        in the next tick."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         waiting = jax.tree.map(lambda channel: channel[:-1], queue)
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)

@@ -1,4 +1,4 @@
-"""The soft fin: a tapered silicone plate that bends in the plane of beating, modelled as a chain of
+"""The soft fin: a tapered silicone plate that bends in the stroke plane, modelled as a chain of
 rigid plates with elastic joints.
 
 The first joint connects the fin to the shaft. A time step applies the implicit midpoint rule to
@@ -38,18 +38,19 @@ class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
     The default length, bracket, modulus and damping come from a calibration against the published
-    fin (docs/appendix/tank.md). Span and thickness were fixed, because no log can separate them
+    fin (docs/appendix/tank.md). Span and thickness were fixed, because logs cannot separate them
     from modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Number of rigid plates [-]. The force error decreases at least with its square."""
+    """Number of rigid plates [-]. The force error is at most inversely proportional to its
+    square."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)
     """Length of the aluminium bracket that stiffens the root, measured from the shaft [m]."""
     span_m: float = Field(0.081, gt=0)
-    """Span at the shaft, perpendicular to the plane of beating [m]."""
+    """Span at the shaft, perpendicular to the stroke plane [m]."""
     tip_span_ratio: float = Field(1.0, gt=0)
     """Span at the tip divided by span at the shaft [-]."""
     root_thickness_m: float = Field(0.019, gt=0)
@@ -62,7 +63,7 @@ class FinConfig(Configuration):
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; 1050 to 1200 for addition silicones."""
     damping_s: float = Field(0.0273, ge=0)
-    """Kelvin-Voigt time: damping of each joint divided by its stiffness [s]. The default
+    """Kelvin-Voigt time [s]: damping of each joint divided by its stiffness. The default
     corresponds to a loss factor of 0.27 at 1.6 Hz."""
 
     def span(self, along: PlateSeries) -> PlateSeries:
@@ -75,15 +76,15 @@ class FinConfig(Configuration):
 
 
 BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
-"""Bending stiffness of the aluminium bracket divided by its span [N m]: E t^3 / 12, with a modulus
-of 70 GPa and an assumed thickness of 3 mm."""
+"""Bending stiffness of the aluminium bracket divided by its span [N m]: E t^3 / 12 for a modulus of
+70 GPa and an assumed thickness of 3 mm."""
 
 
 def plate_moments(
     config: FinConfig, density: Callable[[PlateSeries], PlateSeries]
 ) -> tuple[PerPlate, PerPlate, PerPlate]:
-    """Integrate rho(s), rho(s) s and rho(s) s^2 over each plate, for a density per length rho and
-    the distance s from the inner end."""
+    """Integrate rho(s), rho(s) s and rho(s) s^2 over each plate, where rho is the mass per length
+    and s the distance from the inner end."""
     plate = config.length_m / config.plates
     # Gauss-Legendre with 4 points is exact up to degree 7. The density of a linear taper, span
     # times thickness or span squared, has degree 2, so the integrands have at most degree 4.
@@ -95,12 +96,12 @@ def plate_moments(
 
 
 def compliance(config: FinConfig) -> PlateSeries:
-    """Return the compliance of each joint [rad/(N m)]: that of the beam between the midpoints of
-    the adjacent plates.
+    """Return the compliance of each joint [rad/(N m)], equal to the compliance of the beam between
+    the midpoints of the adjacent plates.
 
     The beam bends everywhere, but the chain only at its joints. Each part of the beam is therefore
-    weighted by the work that a load at the tip does in bending it. The deflection under such a load
-    then equals that of the beam for any number of plates.
+    weighted by the work that a load at the tip does in bending it. The chain then deflects as much
+    as the beam under such a load, for any number of plates.
     """
     plate = config.length_m / config.plates
     joints = np.arange(config.plates) * plate
@@ -128,9 +129,9 @@ class FinState(NamedTuple):
     """State of the plates."""
 
     angles: PerPlate
-    """Angle of each plate in the tank's axes [rad]."""
+    """Angle of each plate in tank axes [rad]."""
     rates: PerPlate
-    """Angular velocity of each plate, including that of a rotating mount [rad/s]."""
+    """Angular velocity of each plate, including the angular velocity of the mount [rad/s]."""
     accelerations: PerPlate
     """Mean angular acceleration in the last step [rad/s2]."""
     earlier: PerPlate
@@ -138,10 +139,9 @@ class FinState(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Motion of the robot at the shaft during a tick, in the tank's axes, which rotate with the
-    robot.
+    """Motion of the robot at the shaft during a tick, in tank axes, which rotate with the robot.
 
-    Motion along the shaft and rotation about other axes are neglected, because they move the fin
+    Motion along the shaft and rotation about other axes are neglected because they move the fin
     edgewise.
     """
 
@@ -150,22 +150,22 @@ class Mount(NamedTuple):
     acceleration: PlanarVector
     """Acceleration (x, y) relative to the still water far away [m/s2]."""
     turn: Scalar
-    """Angular velocity about the shaft, with the sign of the shaft's angle [rad/s]."""
+    """Angular velocity about the shaft, with the sign of the shaft angle [rad/s]."""
 
 
 class Shaft(NamedTuple):
     """The shaft during a time step."""
 
     angle: Scalar
-    """Angle of the shaft at the start of the step [rad]."""
+    """Shaft angle at the start of the step [rad]."""
     play: Scalar
-    """Backlash of the gearbox, over which the joint between shaft and fin transmits no torque
-    [rad]."""
+    """Backlash of the gearbox [rad]: range in which the joint between shaft and fin transmits no
+    torque."""
     turn: Callable[[Scalar, Scalar], Scalar]
-    """Function from load [N m] and drag [N m s/rad] to the mean rate of the shaft [rad/s]. The fin
-    exerts the torque load - drag * rate on the shaft."""
+    """Function that returns the mean rate of the shaft [rad/s] for a load [N m] and drag [N m
+    s/rad]. The fin exerts the torque load - drag * rate on the shaft."""
     carried: Scalar | float = 0.0
-    """Angular velocity of the mount [rad/s]; the rate of the shaft is relative to the mount."""
+    """Angular velocity of the mount [rad/s]; the shaft rate is relative to the mount."""
 
 
 class Surroundings(NamedTuple):
@@ -175,9 +175,10 @@ class Surroundings(NamedTuple):
     """Added mass of each plate [kg, kg m, kg m2]."""
     stream: PlanarVector
     """Velocity (x, y) of the water relative to the mount [m/s]. Inertia and loads depend on the
-    motion of the plates relative to it."""
+    motion of the plates relative to the water."""
     loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
-    """Function from relative motion to resistance [kg/s] and other forces [N], without inertia."""
+    """Function that returns the resistance [kg/s] and other forces [N] for a relative motion,
+    without inertia."""
     acceleration: PlanarVector | None = None
     """Acceleration (x, y) of the mount through the water [m/s2]; None if it does not move."""
 
@@ -213,8 +214,7 @@ class Fin(eqx.Module):
         return FinState(jnp.full_like(still, angle_rad), still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
-        """Return the positions of the shaft and of each plate's outer end, in the tank's axes
-        [m]."""
+        """Return the positions of the shaft and the outer end of each plate in tank axes [m]."""
         plates = self.plate_length * jnp.stack(
             [-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1
         )
@@ -227,20 +227,20 @@ class Fin(eqx.Module):
         return relative
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[PlanarVector, PlanarVector]:
-        """Return the momenta of the fin and of its added mass, in the tank's axes [N s]."""
+        """Return the momenta of the fin and its added mass in tank axes [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
     def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
-        """Return the part of the momenta's rate of change that the mount's motion causes, in the
-        mount's axes [N].
+        """Return the rate of change of the momenta that is caused by the motion of the mount, in
+        mount axes [N].
 
-        The other part is the change of `momenta` in these axes.
+        The other part of the rate of change is the change of `momenta` in these axes.
         """
 
-        # dp/dt in rotating axes: the change of its components plus W x p = W (p_y, -p_x).
+        # In rotating axes, dp/dt is the change of the components of p plus W x p = W (p_y, -p_x).
         def turned(vector: PlanarVector) -> PlanarVector:
             return mount.turn * jnp.stack([vector[1], -vector[0]])
 
@@ -260,8 +260,8 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, PlanarVector]:
-        """Advance by one time step; also return the shaft's mean rate [rad/s] and the mean force of
-        the loads [N] in the step.
+        """Advance by one time step; also return the mean rate of the shaft [rad/s] and the mean
+        force of the loads [N] in the step.
 
         With the mean rates w over a step h, this solves, for the mass matrix M, the resistance R
         and the joint matrix G = h/2 (C + h/2 K):
@@ -277,8 +277,8 @@ class Fin(eqx.Module):
         motion = chain.motion(pose, predicted)
         relative = jax.tree.map(jnp.subtract, motion, stream)
         resistance, push = around.loads(relative)
-        # The resistance acts on the motion relative to the stream. The stream's contribution is
-        # known and moves to the right-hand side.
+        # The resistance acts on the motion relative to the stream. The contribution of the stream
+        # is known and moved to the right-hand side.
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
         driven = push
@@ -293,8 +293,8 @@ class Fin(eqx.Module):
             chain.centripetal(pose, around.inertia, relative),
             driven,
         )
-        # Angular impulse of the joints over half a step: `strains` for the initial bend, and
-        # `grips` per mean bending rate.
+        # Angular impulse of the joints over half a step: `strains` is due to the initial bend, and
+        # `grips` is the impulse per mean bending rate.
         grips = half * (self.damping + half * self.stiffness)
         bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
         strains = half * self.stiffness * bends
@@ -302,8 +302,8 @@ class Fin(eqx.Module):
             pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance)
         )
         right = chain.project(pose, impulse) - _between(strains)
-        # The first plate is solved separately, because the shaft's backlash and torque limit are
-        # nonlinear.
+        # The first plate is solved separately because the backlash and torque limit of the shaft
+        # are nonlinear.
         root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
         bend = state.angles[0] - shaft.angle
         first, rate = _held(
@@ -333,13 +333,12 @@ def _held(
     bend: Scalar,
     half: float,
 ) -> tuple[Scalar, Scalar]:
-    """Return the mean rates of the first plate, and of the shaft relative to its mount, over a
+    """Return the mean rates of the first plate and of the shaft (relative to the mount) over a
     step.
 
-    The step is first computed with a loose joint. If this leaves the joint within the play at the
-    step's midpoint, the joint is loose; otherwise it is engaged, and its deflection is measured
-    from the edge of the play that it has passed. A contact is therefore detected in the step in
-    which it occurs.
+    The step is first computed with a loose joint. If the joint is within the play at the midpoint
+    of the step, it is loose; otherwise, it is engaged, and its deflection is measured from the edge
+    of the play that it has passed. A contact is therefore detected in the step in which it occurs.
 
     Args:
         inertia: Inertia at the first plate, from `chain.condense`.
@@ -361,7 +360,7 @@ def _held(
         rate = shaft.turn(load / half, drag / half)
         return (impulse - strain + grip * (rate + shaft.carried)) / total, rate
 
-    # All three cases are computed and one is selected, because a branch cannot depend on traced
+    # All three cases are computed and one is selected because a branch cannot depend on traced
     # values.
     nothing = jnp.zeros_like(grip)
     first, rate = rates(nothing, nothing)
@@ -375,15 +374,15 @@ def _held(
 
 
 def _between(torques: PerPlate) -> PerPlate:
-    """Return the difference of the joint torques at both ends of each plate, without the joint at
-    the shaft."""
+    """Return the difference between the joint torques at the two ends of each plate, without the
+    joint at the shaft."""
     inner = torques.at[0].set(0.0)
     return inner - jnp.append(inner[1:], 0.0)
 
 
 def _joint_matrix(joints: PerPlate) -> PlateMatrix:
-    """Return the tridiagonal matrix that maps plate angles to the moments of the joints, without
-    the joint at the shaft."""
+    """Return the tridiagonal matrix that maps plate angles to joint moments, without the joint at
+    the shaft."""
     inner = joints.at[0].set(0.0)
     below = jnp.diag(inner[1:], -1)
     return jnp.diag(inner + jnp.append(inner[1:], 0.0)) - below - below.T

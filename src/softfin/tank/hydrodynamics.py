@@ -1,16 +1,16 @@
-"""The water around the fin: its loads on the plates of the chain, and the flow that the fin
-causes.
+"""The water around the fin: the loads on the plates of the chain, and the flow caused by the fin.
 
 - Reactive loads: the added mass of a thin plate acts only along its normal and is part of the
-  chain's inertia (Lighthill 1960). Its momentum is shed at the tip according to large-amplitude
-  elongated-body theory (Lighthill 1971; Candelier, Boyer and Leroyer 2011): the force at the tip is
-  m w u n - m w^2/2 d, where w is the velocity along n and u the velocity outwards along d.
+  inertia of the chain (Lighthill 1960). Its momentum is shed at the tip according to
+  large-amplitude elongated-body theory (Lighthill 1971; Candelier, Boyer and Leroyer 2011): the
+  force at the tip is m w u n - m w^2/2 d, where w is the velocity along n, and u is the outward
+  velocity along d.
 - Resistive loads: quadratic drag along the normal (Taylor 1952; Morison 1950) and skin friction
-  along the plate (Blasius). The drag coefficient is constant, or decreases with the
-  Keulegan-Carpenter number of the recent strokes of the plate.
-- Memory: the momentum that drag, friction and the tip transfer to the water persists as a stream
-  and decays. All loads depend on the motion relative to this stream. The stream does not contain
-  the added-mass momentum, which returns to the fin.
+  along the plate (Blasius). The drag coefficient is constant or decreases with the
+  Keulegan-Carpenter number of recent strokes.
+- Memory: the momentum transferred to the water by drag, friction and the tip persists as a decaying
+  stream. All loads depend on the motion relative to this stream. The stream does not contain the
+  added-mass momentum, which returns to the fin.
 
 Not modelled: free surface and walls, history (Basset) forces, and the pressure of an accelerating
 stream. Equations: docs/appendix/tank.md, "Water".
@@ -40,56 +40,57 @@ from softfin.tank.sensor import remaining
 
 
 class WaterConfig(Configuration):
-    """Coefficients of the water's loads, and its memory.
+    """Coefficients of the hydrodynamic loads, and parameters of the stream that persists in the
+    water.
 
     The default drag and stream coefficients come from a calibration against the published fin
-    (docs/appendix/tank.md). Those of added mass, tip and friction come from theory.
+    (docs/appendix/tank.md). The added mass, tip and friction coefficients come from theory.
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
-    """Temperature of the fresh water [degrees Celsius]; determines its density and viscosity."""
+    """Temperature of the fresh water [degrees Celsius]; determines density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
-    """Added mass per length, relative to that of a long flat plate, rho pi/4 span^2 [-]."""
+    """Added mass per length, relative to a long flat plate, rho pi/4 span^2 [-]."""
     drag_coefficient: float = Field(5.46, ge=0)
-    """Drag coefficient for the motion relative to the stream [-]. If it depends on the
-    Keulegan-Carpenter number, this is its value at 5."""
+    """Drag coefficient for motion relative to the stream [-]; if it depends on the
+    Keulegan-Carpenter number, its value at 5."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
-    """Exponent p of the drag coefficient, which is proportional to (Keulegan-Carpenter number)^-p
-    [-]. 0 for constant drag, 1/3 for thin plates (Graham 1980)."""
+    """Exponent p of the drag coefficient [-], which is proportional to (Keulegan-Carpenter
+    number)^-p: 0 for a constant coefficient, 1/3 for thin plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
-    """Coefficient of Blasius's skin friction on each face, C / sqrt(Reynolds number of the length)
-    [-]."""
+    """Coefficient C of the Blasius skin friction on each face, C / sqrt(Reynolds number of the
+    length) [-]."""
     tip_coefficient: float = Field(1.0, ge=0)
     """Factor of the elongated-body tip term [-]; 0 to omit it."""
     wake_memory_s: float = Field(1.0, gt=0)
     """Time over which strokes are averaged [s]; used only if the drag coefficient is not
     constant."""
     stream_mass_kg: float = Field(2.17, ge=0.2)
-    """Mass of the water that takes up the momentum of the fin [kg]; the default is a cube of about
-    0.13 m. Below 0.2 kg, the stream would change too fast for its time step of one tick."""
+    """Mass of the water that absorbs the momentum of the fin [kg]; the default is a cube of about
+    0.13 m. Below 0.2 kg, the stream would change too fast for a time step of one tick."""
     stream_decay_s: float = Field(0.241, ge=0)
-    """Time constant of the stream's decay [s]; 0 for still water."""
+    """Time constant of the decay of the stream [s]; 0 for still water."""
 
 
 REFERENCE_STROKE = 5.0
 """Keulegan-Carpenter number at which the drag coefficient is defined [-]."""
 
 MIN_STROKE = 0.5
-"""Keulegan-Carpenter number below which the drag coefficient does not increase any more [-]."""
+"""Keulegan-Carpenter number below which the drag coefficient no longer increases [-]."""
 
 SLOWEST_FRICTION_M_S = 0.01
 """Speed below which skin friction becomes linear [m/s], so that its slope at rest is finite."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 """Gauss points along a plate [-]. Two points integrate drag accurately if both ends of the plate
-move to the same side."""
+move in the same direction."""
 
 
 class Flow(NamedTuple):
     """Motion of the water caused by the fin."""
 
     stream: PlanarVector
-    """Velocity of the water around the fin, (x, y) [m/s]."""
+    """Velocity (x, y) of the water around the fin [m/s]."""
     excursion: PerPlate
     """Recent displacement of the middle of each plate along its normal [m]."""
     square: PerPlate
@@ -97,11 +98,11 @@ class Flow(NamedTuple):
 
 
 class Water(eqx.Module):
-    """Parameters of the water's loads on each plate, as arrays."""
+    """Parameters of the hydrodynamic loads on each plate, as arrays."""
 
     plate_length: Scalar
     temperature: Scalar
-    """Temperature of the water [degrees Celsius]."""
+    """Water temperature [degrees Celsius]."""
     inertia: Moments
     """Added mass of each plate [kg, kg m, kg m2]."""
     drag: Float[Array, "2 plates"]
@@ -148,9 +149,10 @@ class Water(eqx.Module):
     def varied(
         self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0
     ) -> "Water":
-        """Return water of a different temperature [degrees Celsius], with its loads multiplied by
+        """Return the water at a different temperature [degrees Celsius], with loads multiplied by
         the factors `added_mass` (also used for the tip term) and `drag`."""
-        # All loads are proportional to the density, and friction also to sqrt(viscosity).
+        # All loads are proportional to the density; friction is also proportional to
+        # sqrt(viscosity).
         density = _density(temperature) / _density(self.temperature)
         friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
         inertia = jax.tree.map(lambda moment: moment * density * added_mass, self.inertia)
@@ -173,9 +175,9 @@ class Water(eqx.Module):
         return Flow(jnp.zeros(2, zero.dtype), zero, zero)
 
     def around(self, flow: Flow) -> Surroundings:
-        """Return the surroundings of the fin for a flow."""
-        # The Keulegan-Carpenter number of a sinusoid is 2 pi amplitude / span, and its mean square
-        # is amplitude^2 / 2. C = C_d (k / 5)^-p with k = sqrt(KC^2 + 0.5^2).
+        """Return the surroundings of the fin in a flow."""
+        # The Keulegan-Carpenter number of a sinusoid is 2 pi amplitude / span, and the mean square
+        # of the sinusoid is amplitude^2 / 2. C = C_d (k / 5)^-p with k = sqrt(KC^2 + 0.5^2).
         number = (
             jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + MIN_STROKE**2) / REFERENCE_STROKE
         )
@@ -215,7 +217,7 @@ class Water(eqx.Module):
         ]
         # The tip force is m w min(u, 0) n - m w^2/2 d. For u > 0 the first term is zero, because
         # water at rest carries no momentum. The tip therefore never adds energy to the fin: the
-        # power of the force is -m w^2 |u|/2.
+        # power of the tip force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)
         speed = jnp.sqrt(jnp.sqrt(motion.along**2 + SLOWEST_FRICTION_M_S**2))
         resistance = Moments(

@@ -1,4 +1,4 @@
-"""Domain randomization: tanks with physical parameters sampled around those of one tank.
+"""Domain randomization: tanks with physical parameters sampled around the parameters of one tank.
 
 Each parameter depends only on the key and its own name, so adding a parameter does not change the
 others. Sampling can be traced: `jax.vmap` over keys returns a tank with a batch of parameters.
@@ -29,37 +29,38 @@ ADDED_PARAMETERS = ("temperature_c", "misalignment_rad")
 
 
 class DomainRandomization(Configuration):
-    """Half-widths of the uniform distributions of the physical parameters; 0 keeps the value of the
-    tank."""
+    """Half-widths of the uniform distributions of the physical parameters; 0 keeps a parameter
+    unchanged."""
 
     temperature_c: float = Field(5.0, ge=0, le=20)
     """Half-width of the water temperature [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
-    """Relative half-width of the stiffness, which depends on the silicone's batch, age and
-    temperature [-]."""
+    """Relative half-width of the stiffness, which depends on the batch, age and temperature of the
+    silicone [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
     """Relative half-width of the drag [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
     """Relative half-width of the added mass [-]."""
     lag: float = Field(0.2, ge=0, lt=1)
-    """Relative half-width of the servo's lag [-]."""
+    """Relative half-width of the servo lag [-]."""
     dead_time: float = Field(0.2, ge=0, lt=1)
     """Relative half-width of the delay from a command to its first effect [-]."""
     drift: float = Field(0.5, ge=0, lt=1)
-    """Relative half-width of the standard deviation of the force sensor's drift [-]."""
+    """Relative half-width of the standard deviation of the force sensor drift [-]."""
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
-    """Half-width of the force sensor's misalignment [rad], for a manually aligned mount."""
+    """Half-width of the force sensor misalignment [rad]; the default suits a manually aligned
+    mount."""
 
     @classmethod
     def of(cls, part: float) -> "DomainRandomization":
-        """Return half-widths with the same fraction for material, water and servo.
+        """Return half-widths with the same relative value for material, water and servo.
 
-        Temperature, drift and misalignment have their default ranges for fractions of 0.15 or more.
-        Below 0.15 their ranges decrease proportionally, so that 0 gives exactly the same tank. The
-        geometry of the fin does not change.
+        Temperature, drift and misalignment have their default ranges if `part` is at least 0.15.
+        Below 0.15, the ranges decrease proportionally, so that 0 results in exactly the same tank.
+        The geometry of the fin does not change.
 
         Raises:
-            ConfigurationError: `part` is negative, or 1 or more.
+            ConfigurationError: If `part` is negative, or 1 or more.
         """
         if not 0 <= part < 1:
             raise ConfigurationError(
@@ -100,8 +101,8 @@ def with_parameters(
     drift: Change = 1.0,
     misalignment_rad: Change = 0.0,
 ) -> Tank:
-    """Return the tank with changed parameters: offsets if the name ends in a unit, otherwise
-    factors."""
+    """Return the tank with changed parameters. Values are offsets if the name ends in a unit,
+    otherwise factors."""
     water = tank.water
     fin = tank.fin
     changed: Tank = eqx.tree_at(
@@ -137,7 +138,7 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
         return tank
 
     def one(name: str, width: float) -> Scalar:
-        # CRC-32 instead of hash(), which differs from process to process.
+        # CRC-32 instead of hash(), which differs between processes.
         own = jax.random.fold_in(key, zlib.crc32(name.encode()))
         return (name not in ADDED_PARAMETERS) + jax.random.uniform(own, minval=-width, maxval=width)
 
@@ -147,7 +148,7 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
 
 
 RandomizedTankState: TypeAlias = tuple[Tank, TankState]
-"""A sampled tank and its state."""
+"""Sampled tank and its state."""
 
 
 class RandomizedTank(eqx.Module):
@@ -163,7 +164,7 @@ class RandomizedTank(eqx.Module):
         return self.tank.limits
 
     def init(self, key: PRNGKeyArray) -> RandomizedTankState:
-        """Sample a tank and return it with its fin at rest."""
+        """Sample a tank and return the tank and its state at rest."""
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
         return tank, tank.init(own)

@@ -1,10 +1,11 @@
-"""The force sensor under the fin, modelled after an ATI Axia80-M20: true force in, readings at
-100 Hz out.
+"""The force sensor under the fin, modelled after an ATI Axia80-M20; it converts the true force to
+readings at 100 Hz.
 
 The model applies, in this order: low-pass filter, misalignment, slow drift (Ornstein-Uhlenbeck),
 white noise, resolution and range. Before each experiment, the sensor is zeroed while the fin is at
-rest and the true force is zero. The defaults are assumed and correct only in order of magnitude;
-`IDEAL` disables all of them. The drive and the water also use the helper functions of this module.
+rest and the true force is zero. The defaults are assumptions, correct only in order of magnitude;
+`IDEAL` disables all sensor errors. The drive and the water also use the helper functions of this
+module.
 """
 
 import math
@@ -27,7 +28,7 @@ MIN_TIME_CONSTANT_S = 1e-6
 
 
 def config_arrays(config: Configuration, without: Collection[str] = ()) -> Iterator[Scalar]:
-    """Return the numbers of a configuration as arrays, in the order of its fields."""
+    """Return the numbers of a configuration as arrays, in field order."""
     return (
         jnp.asarray(value, float)
         for name, value in config.model_dump().items()
@@ -52,7 +53,7 @@ def to_multiple(value: Float[Array, "*shape"], step: Scalar) -> Float[Array, "*s
 
 
 def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the distribution of an Ornstein-Uhlenbeck process's mean over its past.
+    """Return the distribution of the past mean of an Ornstein-Uhlenbeck process.
 
     The process has variance 1, and the mean is taken over the last `duration` (a, in time
     constants). Given the current value x, the mean is normally distributed around c x with variance
@@ -62,8 +63,8 @@ def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
     Returns:
         c and V - c^2.
     """
-    # The terms cancel for small a. There, the series in a is accurate to 1e-4 of V - c^2 in single
-    # precision.
+    # The terms cancel for small a, so a series in a is used; in single precision, its relative
+    # error is at most 1e-4.
     is_short = duration < 0.1
     a = jnp.where(is_short, 1.0, duration)
     decay = -jnp.expm1(-a)
@@ -78,7 +79,7 @@ class SensorConfig(Configuration):
     filter_s: float = Field(0.01, ge=0)
     """Time constant of the low-pass filter [s]; 0.01 s corresponds to 16 Hz."""
     misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
-    """Angle from the axes of the tank to those of the sensor [rad]; positive from x to y."""
+    """Angle from the tank axes to the sensor axes [rad]; positive from x to y."""
     noise_n: float = Field(0.05, ge=0)
     """Standard deviation of the white noise on each axis [N]; the default is 1e-4 of the range."""
     drift_n: float = Field(0.05, ge=0)
@@ -136,8 +137,8 @@ class Sensor(eqx.Module):
         """Return the standard deviation of the mean of `samples` readings, `seconds` after zeroing
         [N].
 
-        White noise averages out. The drift d is slower than the mean, and only its change since
-        zeroing counts: var(d(t) - d(0)) = 2 drift^2 (1 - exp(-t / drift_time)).
+        White noise averages out. The drift d is almost constant over the samples, and only its
+        change since zeroing matters: var(d(t) - d(0)) = 2 drift^2 (1 - exp(-t / drift_time)).
         """
         noise = float(self.noise)
         drift = float(self.drift)
@@ -150,7 +151,7 @@ class Sensor(eqx.Module):
         return math.sqrt(variance)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """Return the state at rest after zeroing, with a drift sampled from its stationary
+        """Return the state at rest after zeroing, with a drift sampled from the stationary
         distribution.
 
         The zero is the mean reading over the last T seconds. It is sampled as the mean drift, which
@@ -171,7 +172,7 @@ class Sensor(eqx.Module):
     def read(
         self, state: SensorState, force: PlanarVector, key: PRNGKeyArray
     ) -> tuple[SensorState, PlanarVector]:
-        """Return the reading of a tick with the mean force `force` [N]."""
+        """Return the reading after a tick with the mean force `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
         # The exact response of a first-order filter to a constant force over the tick.
         filtered = force + (state.filtered - force) * remaining(self.filter_time)

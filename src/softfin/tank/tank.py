@@ -35,11 +35,11 @@ class TankConfig(Configuration):
     fin: FinConfig = FinConfig()
     """Geometry and material of the fin."""
     water: WaterConfig = WaterConfig()
-    """Temperature of the water and its loads on the fin."""
+    """Water temperature and hydrodynamic loads on the fin."""
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Number of time steps per tick of 10 ms [-]. The rms force error is inversely proportional to
+    """Number of time steps per tick of 10 ms [-]. The RMS force error is inversely proportional to
     the square of this number; with 2 steps, it is 0.4%."""
 
 
@@ -53,7 +53,7 @@ class TankState(NamedTuple):
     flow: Flow
     sensor: SensorState
     force: PlanarVector
-    """True mean force on the mount over the last tick, (x, y) [N]."""
+    """True mean force (x, y) on the mount over the last tick [N]."""
     key: PRNGKeyArray
     """Key for the sensor noise."""
 
@@ -64,7 +64,7 @@ class Load(NamedTuple):
     force: PlanarVector
     """Force (x, y) [N]."""
     torque: Scalar
-    """Torque about the shaft, with the sign of the shaft's angle [N m]."""
+    """Torque about the shaft, with the sign of the shaft angle [N m]."""
 
 
 class Tank(eqx.Module):
@@ -76,7 +76,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """Command limits, from the drive's configuration."""
+    """Command limits from the drive configuration."""
 
     def __init__(self, config: TankConfig | None = None):
         config = config or TankConfig()
@@ -89,12 +89,13 @@ class Tank(eqx.Module):
 
     @property
     def mean_force_noise_n(self) -> float:
-        """Noise of the mean force over the evaluation window, at the end of an experiment [N]."""
+        """Standard deviation of the measured mean force over the evaluation window at the end of an
+        experiment [N]."""
         return self.sensor.mean_noise(PAPER_WINDOW, EXPERIMENT_S)
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """Return the state of a fin at rest with a zeroed sensor; the key determines the sensor's
-        drift and noise."""
+        """Return the state of a fin at rest with a zeroed sensor; the key determines sensor drift
+        and noise."""
         check_key(key)
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
@@ -124,12 +125,12 @@ class Tank(eqx.Module):
     def measure(
         self, state: TankState, command: Command
     ) -> tuple[TankState, Reading, dict[str, Scalar]]:
-        """Hold a command for one tick like `advance`; also return torque and current as channels of
-        a log, without sensor errors."""
+        """Hold a command for one tick, like `advance`; also return torque and current as log
+        channels, without sensor errors."""
         check_commands(self.limits, command)
         after, reading, load = self.tick(state, command)
         # The motor also accelerates the rotor, whose torque does not reach the fin. The load has
-        # the sign of the shaft's angle, which turns against the z axis.
+        # the sign of the shaft angle, which is positive about -z.
         rotor = self.drive.inertia * (after.drive.rate - state.drive.rate) / TICK_S
         torque = -load.torque
         return (
@@ -146,8 +147,7 @@ class Tank(eqx.Module):
         return state.force
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
-        """Return the positions of the shaft and of each plate's outer end, in the tank's axes
-        [m]."""
+        """Return the positions of the shaft and the outer end of each plate in tank axes [m]."""
         return self.fin.shape(state.fin)
 
     def tick(
@@ -155,7 +155,7 @@ class Tank(eqx.Module):
     ) -> tuple[TankState, Reading, Load]:
         """Hold a command for one tick of 10 ms, on a fixed mount or a moving `mount`.
 
-        The motion of the mount is constant within the tick, and all forces are in its axes. The
+        The motion of the mount is constant within the tick, and all forces are in mount axes. The
         wake moves with the mount.
         """
         seconds = TICK_S / self.steps_per_tick
@@ -182,8 +182,8 @@ class Tank(eqx.Module):
         (drive, fin), (forces, torques) = jax.lax.scan(
             step, (drive, state.fin), length=self.steps_per_tick
         )
-        # The momentum balance of the fin and its added mass over the tick gives the force on the
-        # mount: the water's loads minus the rate of change of the momenta.
+        # The momentum balance of the fin and its added mass over the tick determines the force on
+        # the mount: the hydrodynamic loads minus the rate of change of the momenta.
         own, added = jax.tree.map(
             lambda before, after: (after - before) / TICK_S,
             self.fin.momenta(state.fin, around),
@@ -199,7 +199,7 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The reaction of the motor's torque on the housing, without the part that accelerates the
+        # The reaction of the motor torque on the housing, without the part that accelerates the
         # rotor.
         torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
         return (

@@ -31,7 +31,7 @@ class References(NamedTuple):
     low: Float[Array, "*stack 2"]
     high: Float[Array, "*stack 2"]
     reachable: Reachable | None = None
-    """Mean forces that the fin can produce, if known."""
+    """Reachable mean forces of the fin, if known."""
 
     @classmethod
     def of(cls, cell: Cell, reachable: Reachable | None = None) -> "References":
@@ -48,16 +48,16 @@ class References(NamedTuple):
 
 
 def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:
-    """Stack the references of many cells, for the same fin, along a leading axis."""
+    """Stack the references of many cells for the same fin along a leading axis."""
     each = [References.of(cell, jax.tree.map(jnp.asarray, reachable)) for cell in cells]
     stacked: References = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     return stacked
 
 
 def divide(cell: Cell, columns: int, rows: int) -> Cells:
-    """Return equal cells, `columns` along x and `rows` along y, that fill a cell, ordered by x,
+    """Divide a cell into equal cells, `columns` along x and `rows` along y; they are ordered by x,
     then y."""
-    # Shared arrays of edges, so that neighbours have exactly the same edge.
+    # The edge arrays are shared so that neighbours have exactly the same edge.
     xs = np.linspace(cell.low[0], cell.high[0], columns + 1).tolist()
     ys = np.linspace(cell.low[1], cell.high[1], rows + 1).tolist()
     return tuple(

@@ -2,11 +2,11 @@
 10 ms.
 
 Tick k starts at k * 10 ms and lasts 10 ms. A controller reads the reference when it acts, three
-times per second, so it sees a change between two actions at the second one.
+times per second, so it reacts to a change between two actions at the second action.
 
-A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; other columns are
-ignored. Each row applies from its time until the next row. softfin's logs also have these columns,
-but start one tick late, at 0.01 s; a first row up to one tick late therefore applies from time 0.
+A file is a CSV or Parquet table with the columns ``time_s``, ``force_x_n`` and ``force_y_n``; other
+columns are ignored. Each row applies from its time until the next row. softfin's logs also have
+these columns, but start at 0.01 s, so a first row up to one tick late applies from time 0.
 """
 
 from pathlib import Path
@@ -30,27 +30,27 @@ ReferenceSamples = Float[np.ndarray, "ticks 2"]
 """Reference forces (x, y) [N]."""
 
 CLOCK_S = 1e-6
-"""Distance from a tick within which a time is assigned to that tick [s]. It is needed because sums
-of decimal fractions are rarely exact."""
+"""Maximum distance from a tick at which a time is assigned to the tick [s]; needed because sums of
+decimal fractions are rarely exact."""
 
 REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newtons", "force_y_n": "newtons"}
 """Columns of a reference file, with their units."""
 
 MAX_SIGNAL_S = 3600.0
-"""Maximum duration of a reference [s]; a longer one is probably in a different unit."""
+"""Maximum duration of a reference [s]; a longer reference probably has a different time unit."""
 
 MAX_REFERENCE_ROWS = 360_000
-"""Maximum number of rows: an hour at 100 Hz, the rate of readings."""
+"""Maximum number of rows: one hour at 100 Hz."""
 
 
 class Recorded(Configuration):
-    """Forces that start at given times, each held until the next one; the last one is held forever.
-    Nothing is interpolated."""
+    """Forces that start at given times. Each is held until the next one without interpolation, and
+    the last is held forever."""
 
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
-    """Times at which each force starts [s], increasing from 0."""
+    """Start time of each force [s], increasing from 0."""
     force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
-    """Forces (x, y) at those times [N]."""
+    """Force (x, y) from each of these times [N]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Recorded":
@@ -72,7 +72,8 @@ class Recorded(Configuration):
 
     @property
     def seconds(self) -> int:
-        """Duration in whole seconds, if the last force lasts as long as the one before it."""
+        """Duration in full seconds, assuming that the last force lasts as long as the previous
+        one."""
         last = self.time_s[-1]
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
         # last + (last - before), rounded up
@@ -92,13 +93,13 @@ class Recorded(Configuration):
 
 
 def step(start_n: ForceVector, to_n: ForceVector, at_s: float | int = 10.0) -> Recorded:
-    """Return a reference that steps from one force to another [N]."""
+    """Return a reference that steps from one force to a second one [N]."""
     return Recorded(time_s=(0.0, at_s), force_n=(start_n, to_n))
 
 
 def read_reference_file(path: Path) -> Recorded:
-    """Read a reference over time; raises ConfigurationError with the row, the problem and the
-    fix."""
+    """Read a reference over time; raises ConfigurationError with the row, the problem and the fix
+    if the file is invalid."""
     check_reference_file(path)
     source = f"--reference-file {path}"
     try:

@@ -1,12 +1,12 @@
-"""Force tracking as pure functions over any plant (paper Sec. III-C2): an action goes in, the plant
-moves, and a reward and a state come out.
+"""Force tracking as pure functions for any plant (paper Sec. III-C2): for an action, they move the
+plant and return a reward and a new state.
 
     action in [-1, 1]^2 ──> command, held for an action ──> plant ──> angle, forces
     observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k]
 
-Actions follow each other on the action clock. The duration of an action is a traced value, so that
-a compiled program contains the task only once: all actions have as many rows as the longest, and a
-shorter action ignores the last ones.
+Actions follow the action clock. The duration of an action is a traced value, so that a compiled
+program contains the task only once: all actions have as many rows as the longest action, and
+shorter actions ignore the last rows.
 """
 
 from dataclasses import dataclass
@@ -33,18 +33,18 @@ PastActions = Float[Array, "remembered 2"]
 ForceWindow = Float[Array, "window 2"]
 
 MIN_WIDTH_RAD_S = 1e-6
-"""Minimum width of a range of velocities in a division [rad/s]."""
+"""Minimum width by which a velocity range is divided [rad/s]."""
 
 FORCE_BLOCKS = 8
-"""Number of blocks of the window whose mean forces the critic observes; they reveal which forces
-are about to leave the window."""
+"""Number of window blocks whose mean forces the critic observes; they reveal which forces are about
+to leave the window."""
 
 
 class RewardTerms(NamedTuple):
     """Terms of the reward, per axis [N]."""
 
     error: ForceBatch
-    """|F_e|: distance of the window's mean force from the reference."""
+    """|F_e|: distance between the mean force over the window and the reference."""
     smoothness: ForceBatch
     """Sobolev term of the window."""
 
@@ -52,7 +52,7 @@ class RewardTerms(NamedTuple):
 class RewardConfig(Configuration):
     """Weights of the reward (paper Sec. III-C2): error of the mean force, and smoothness.
 
-    The paper does not state their values. A new term needs a field in `RewardTerms` and a weight
+    The paper does not state the weights. A new term needs a field in `RewardTerms` and a weight
     here.
     """
 
@@ -62,8 +62,8 @@ class RewardConfig(Configuration):
     """Weights lambda for x and y. For a full window, 0.01 with `sobolev` = sum is equivalent to
     0.14 with mean."""
     sobolev: Literal["sum", "mean"] = "sum"
-    """Form of the Sobolev term: the square root of the sum of squared steps, as in the paper, or of
-    their mean."""
+    """Form of the Sobolev term: the square root of the sum (as in the paper) or of the mean of
+    squared steps."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
         """Return the reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
@@ -76,17 +76,17 @@ class TaskConfig(Configuration):
     """The force-tracking task. The default values in newtons suit the paper's fin."""
 
     past_actions: int = Field(default=3, ge=0)
-    """Number k of observed actions before the last one; 3 results in 11 observations. The paper
-    does not state k."""
+    """Number k of observed actions before the last one; k = 3 results in observations of size 11.
+    The paper does not state k."""
     clock: ActionClock = PAPER_CLOCK
-    """Durations of the actions, and the window of the mean force and the Sobolev term."""
+    """Durations of the actions, and the window for the mean force and the Sobolev term."""
     episode_actions: PositiveInt = 90
-    """Number of actions until the episode is truncated, a multiple of the clock cycle; 90
-    correspond to the paper's 30 s."""
+    """Number of actions until the episode is truncated, a multiple of the clock cycle; 90 actions
+    correspond to 30 s, as in the paper."""
     reference_actions: PositiveInt = 90
     """Number of actions until a new reference is drawn."""
     force_scale_n: PositiveFloat = 3.0
-    """Scale of observed references [N], chosen so that observations have magnitudes of about 1."""
+    """Scale of observed references [N], so that observations have magnitudes of about 1."""
     reward: RewardConfig = RewardConfig()
 
     @model_validator(mode="after")
@@ -110,8 +110,8 @@ class TaskConfig(Configuration):
         return PolicyObservation(past_actions=self.past_actions).size
 
     def scaled(self, size: float) -> "TaskConfig":
-        """Return the task for a fin of a different size, relative to the paper's fin: observations
-        and rewards keep their magnitudes."""
+        """Return the task for a fin of a different size, relative to the paper's fin; the
+        magnitudes of observations and rewards stay the same."""
         x, y = self.reward.weight
         values = {
             "force_scale_n": self.force_scale_n * size,
@@ -121,7 +121,7 @@ class TaskConfig(Configuration):
 
 
 class TaskState(NamedTuple):
-    """One fin with a reference."""
+    """State of one fin and its reference."""
 
     plant: State
     angle: Float[Array, ""]
@@ -132,8 +132,8 @@ class TaskState(NamedTuple):
     actions: PastActions
     """Past actions, most recent first."""
     forces: ForceWindow
-    """Last force readings [N], newest last; only the last `samples` of them were recorded since the
-    reset."""
+    """Last force readings [N], newest last; only the last `samples` readings were recorded since
+    the reset."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
     """Number of actions since the reset."""
@@ -147,7 +147,7 @@ class Outcome(NamedTuple):
     terms: RewardTerms
     """Terms of the reward."""
     force_error: ForcePoint
-    """F_e: the window's mean force minus the reference [N]."""
+    """F_e: mean force over the window minus the reference [N]."""
     forces: Float[Array, "ticks 2"]
     """Forces during the action [N]; rows after its duration are not valid."""
 
@@ -179,11 +179,11 @@ class ForceTracking:
         return observation(self.config, state.angle, state.reference, state.actions)
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
-        """Return the observation with privileged information: the window's forces, the fraction of
-        it that is valid, and the clock."""
+        """Return the observation with privileged information: the forces in the window, the
+        fraction of the window that is valid, and the clock."""
         scale = self.config.force_scale_n
-        # Means per block, scaled so that their mean is the mean over the valid samples: in a window
-        # that is not yet full, the zeros must not count.
+        # Means per block, scaled so that their mean is the mean over the valid samples; the zeros
+        # in a window that is not yet full must not count.
         rows = -(-len(state.forces) // FORCE_BLOCKS)
         # Zeros in front of the oldest forces fill the first block.
         missing = FORCE_BLOCKS * rows - len(state.forces)
@@ -196,7 +196,7 @@ class ForceTracking:
         return jnp.concatenate([self.observe(state), mean, full[None], clock])
 
     def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
-        """Hold an action for `ticks` ticks."""
+        """Hold an action for a number of ticks."""
         reward = self.config.reward
         clock = self.config.clock
         plant, reading = hold_action(
@@ -211,7 +211,7 @@ class ForceTracking:
         samples = jnp.minimum(state.samples + ticks, clock.window_ticks)
         force_error = window_mean(forces, samples) - state.reference
         terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, reward.sobolev))
-        # A chain of keys: each is used once, so that no other action or episode draws the same
+        # Each key in the chain is used only once, so that no two actions or episodes draw the same
         # numbers.
         key, reference_key = jax.random.split(state.key)
         age = state.age + 1
@@ -230,13 +230,13 @@ class ForceTracking:
         ), Outcome(reward.value(terms), terms, force_error, jnp.asarray(reading.force))
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
-        """Whether the episode is over: truncated, not terminated, because the fin could
-        continue."""
+        """Return whether the episode is over. It is truncated, not terminated, because the fin
+        could continue."""
         return state.age >= self.config.episode_actions
 
 
 def _last(before: ForceWindow, rows: Float[Array, "rows 2"], ticks: Ticks) -> ForceWindow:
-    """Append the first `ticks` rows to a window and drop as many old ones."""
+    """Append the first `ticks` rows to a window and drop the same number of old rows."""
     # A traced start with a static length keeps one program for actions of all durations.
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
@@ -257,9 +257,9 @@ def observation(
 
 
 def command_to_action(limits: Limits, command: Command) -> Action:
-    """Return the action of a command: map the plant's limits to [-1, 1]^2."""
+    """Convert a command to an action by mapping the plant's limits to [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
-    # With one velocity, every action has it.
+    # If there is only one velocity, every action has this velocity.
     width = jnp.maximum(limits.velocity_max - limits.velocity_min, MIN_WIDTH_RAD_S)
     velocity = (command.velocity - limits.velocity_min) / width
     return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1

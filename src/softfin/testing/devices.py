@@ -1,5 +1,4 @@
-"""Conformance tests for the devices of a rig: they try out a drive or a force sensor, real or
-emulated."""
+"""Conformance tests for rig devices: a real or emulated drive or force sensor."""
 
 from collections.abc import Callable
 from typing import Any, NoReturn
@@ -14,13 +13,13 @@ from softfin.rig.pace import Pace
 from softfin.rig.streamed_sensor import StreamedSensor
 
 MAX_AGE_S = 1.0
-"""Largest age of a reading [s], the upper bound of the safety limits."""
+"""Maximum age of a reading [s]: the upper bound of the safety limits."""
 
 SLOW_READ_S = 0.02
-"""Longest median duration of `read` [s]."""
+"""Maximum median duration of `read` [s]."""
 
 SILENCE_S = 6.0
-"""Longest time in which a silent device must be noticed [s]."""
+"""Maximum time until a silent device must be detected [s]."""
 
 STEP_RAD = 0.2
 AT_REST_RAD = 0.02
@@ -159,7 +158,7 @@ def _check_motion(drive: Drive, pace: Pace) -> None:
     moved = _watch(drive, pace, 100, DriveReading)[-1].angle - start
     if moved / step < 0.25:
         _fail(drive, f"moved {moved:.3f} rad within 1 s", f"the command was {step} rad")
-    # Leave it in motion, so that a stop has something to do.
+    # Leave the drive in motion so that the stop can be tested.
     drive.command(Target(start, limits.velocity_min))
     _watch(drive, pace, 3, DriveReading)
 

@@ -63,7 +63,7 @@ def _fail(plant: object, *problem: str) -> NoReturn:
 
 
 def _stroke(plant: Plant) -> Command:
-    """Return a command within the limits that moves the plant: halfway from rest to the farther
+    """Return a command within the limits that moves the plant halfway from rest to the farther
     limit."""
     limits = Limits(*plant.limits)
     rest = limits.rest_angle
@@ -205,7 +205,7 @@ def _held_action(plant: Plant) -> None:
             jax.tree.leaves((expected_after, expected.force, expected.angle)),
             strict=True,
         )
-        # Random keys have no values to compare.
+        # The values of random keys cannot be compared.
         numbers = [pair for pair in pairs if not _is_key(pair[0])]
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
             asked = f"it must return {rows} rows, and the state after the first `ticks` of them"

@@ -1,1 +1,1 @@
-"""Checks that logs pass before a surrogate is fitted to them."""
+"""Checks of logs before a surrogate is fitted to them."""

@@ -1,8 +1,8 @@
 """Estimates of a log's time offsets (command to angle, angle to force) and of its force axes.
 
-The angle is the reference clock. A command shows up in the angle's rate after the drive's dead
-time. The force follows the angle's rate and acceleration, delayed by the bending of the fin and the
-sensor's filter.
+The angle is the reference clock. A command affects the rate of the angle after the dead time of the
+drive. The force follows the rate and acceleration of the angle, delayed by the bending of the fin
+and the sensor filter.
 
 To find the force axes, a model fin is fitted to the force under rotations and reversals of the
 measured axes. Thrust points along (cos theta, -sin theta) and grows with the square of the rate.
@@ -28,24 +28,24 @@ ForceSeries: TypeAlias = Complex[np.ndarray, "ticks"]
 """Force along x and y, as real and imaginary parts [N]."""
 
 SEARCHED_TICKS = 20
-"""Largest lag in the search, in either direction [10 ms]."""
+"""Maximum lag in the search, in either direction [10 ms]."""
 
 FAR_TICKS = 400
-"""Largest lag in the search for a clock that is off [10 ms]."""
+"""Maximum lag in the search for a misaligned clock [10 ms]."""
 
 WINDOW_TICKS = 600
 """Length of the windows whose force lags are compared [10 ms]."""
 
 RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
-"""Ticks around a command step in which its response is searched."""
+"""Ticks around a command step in which the response is searched for."""
 
 MIN_FOLLOWING = 0.5
-"""Lowest correlation between the angle and its command at which their lag is known; good logs have
-0.75 and more."""
+"""Minimum correlation between the angle and its command at which their lag is considered known;
+good logs have at least 0.75."""
 
 MAX_LAG_CHANGE_TICKS = 3
-"""Largest plausible difference between the lags of a log's first and last third, or of its forces
-[10 ms]; good logs have 0 or 1."""
+"""Maximum plausible difference between the lags in the first and last third of a log, or between
+the lags of the two forces [10 ms]; good logs have 0 or 1."""
 
 FOLLOWING_TICKS = 15
 """Delay after which the angle is compared with its command [10 ms]."""
@@ -77,8 +77,8 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
     if not 50 <= len(steps) <= 0.5 * len(command):
         return None
     mirrored = np.cov(command[:-FOLLOWING_TICKS], angle[FOLLOWING_TICKS:])[0, 1] < 0
-    # Direction from the current angle to the new target. The direction of the step itself could be
-    # wrong, because a slow drive may not have reached the previous target.
+    # Use the direction from the current angle to the new target. The direction of the command step
+    # could be wrong, because a slow drive may not have reached the previous target.
     side = np.sign((-command if mirrored else command) - angle)[steps]
     response = np.median(
         side[:, None] * np.gradient(angle)[steps[:, None] + RESPONSE_TICKS], axis=0
@@ -90,7 +90,7 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
         return None
     low, high = response[below[-1] : below[-1] + 2]
     lag_ticks = RESPONSE_TICKS[below[-1]] + (onset - low) / (high - low)
-    # The drive needs another 120 ms for most of a move.
+    # The drive needs 120 ms more for most of a move.
     delay = max(1, round(lag_ticks) + 12)
     following = np.corrcoef(command[:-delay], angle[delay:])[0, 1]
     return float(lag_ticks * TICK_S * 1e3) if abs(following) > MIN_FOLLOWING else None
@@ -98,18 +98,19 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ForceLag:
-    """Lag from angle to force, and how well a linear model of the motion explains the force."""
+    """Lag from angle to force, and the share of the force that a linear model of the motion
+    explains."""
 
     force_lag_ms: float | None = None
     """Best lag within 0.2 s [ms]; None if unknown."""
     force_share: float = 0.0
-    """Share of the force's variance that the motion explains at best within 0.2 s."""
+    """Maximum share of the force variance that the motion explains within 0.2 s."""
     far_lag_ms: float = 0.0
     """Best lag beyond 0.2 s [ms]."""
     far_share: float = 0.0
-    """Share that the motion explains at that lag."""
+    """Share of the force variance that the motion explains at `far_lag_ms`."""
     late_force_s: Sequence[float] = ()
-    """Starts of the windows of 6 s in which the force has another lag than in most [s]."""
+    """Starts of the 6 s windows in which the force has a different lag than in most windows [s]."""
     axis_lags_ms: tuple[float, float] | None = None
     """Lags of the forces along x and y, if they differ [ms]."""
 
@@ -118,9 +119,9 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
     """Find the lag at which a linear model of the motion best explains the force, regardless of its
     axes.
 
-    The lag is unknown if it changes or differs between the axes, if it is at the edge of 0.2 s, if
-    a lag beyond explains 10% more of the force's variance, or if the motion explains less than 30%;
-    in the published networks' logs it explains at least 45%.
+    The lag is unknown if it changes, differs between the axes or is at the 0.2 s limit. It is also
+    unknown if a lag beyond the limit explains 10% more of the force variance, or if the motion
+    explains less than 30%. In the logs of the published networks, it explains at least 45%.
     """
     ticks = min(FAR_TICKS, len(angle) // 4)
     shares = explained_shares(angle, force, ticks)
@@ -154,17 +155,18 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
 
 
 def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[np.ndarray, "lags"]:
-    """Return the share of the force's variance that a linear model of the motion explains, for each
+    """Return the share of the force variance that a linear model of the motion explains for each
     lag from -ticks to ticks."""
     heading, rate, acceleration = _motion(angle)
-    # Added mass, drag, thrust, damping and a constant, each in both components as the fin turns.
+    # Added mass, drag, thrust, damping and a constant, each in both components, which rotate with
+    # the fin.
     terms = np.stack([acceleration, rate * np.abs(rate), rate**2, rate, np.ones_like(rate)])
     # The first and last ticks have no partner at the largest lag.
     features = np.concatenate([terms * heading.real, terms * heading.imag])[:, ticks:-ticks]
     features -= features.mean(axis=1, keepdims=True)
     features /= features.std(axis=1, keepdims=True) + 1e-12
-    # With an orthonormal basis B of the space that the features span, they explain the share
-    # |B f|^2 / |f|^2 of a force f: one product per lag instead of one fit.
+    # If B is an orthonormal basis of the space of the features, they explain the share |B f|^2 /
+    # |f|^2 of a force f. This needs one product per lag instead of one fit.
     _, sizes, basis = np.linalg.svd(features, full_matrices=False)
     ones = np.ones(len(rate) - 2 * ticks)
     explained = np.zeros(2 * ticks + 1)
@@ -179,12 +181,12 @@ def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[
 
 
 def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[float]:
-    """Return the starts [s] of the windows of `WINDOW_TICKS` in which the force has another lag
-    than in most.
+    """Return the starts [s] of the windows of `WINDOW_TICKS` in which the force has a different lag
+    than in most windows.
 
-    There, the own lag explains nearly as much of the variance as in most windows, and at least 12%
-    more than a lag within 40 ms of the usual lag; in good logs, up to 10% more. If the lag drifts,
-    these are the windows of the last third.
+    In such a window, its best lag explains nearly as much of the variance as in most windows, and
+    at least 12% more than any lag within 40 ms of the usual lag; in good logs, it explains up to
+    10% more. If the lag drifts, the windows of the last third are returned.
     """
     starts = np.arange(0, len(angle) - WINDOW_TICKS + 1, WINDOW_TICKS // 2)
     windows = [slice(start, start + WINDOW_TICKS) for start in starts]
@@ -204,21 +206,22 @@ def find_late_windows(angle: LogSeries, force: ForceSeries) -> list[float]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Orientation:
-    """Correlations between the force, read in other axes, and the best fit of a model fin."""
+    """Correlations between the force in different axes and the best fit of a model fin."""
 
     frames: dict[str, float] | None = None
     """Correlation in each of `FORCE_FRAMES`; None if unknown."""
     turn_deg: int = 0
-    """Counterclockwise rotation of the recorded force after which one of these frames fits best
-    [degrees], in steps of 5 from -45 to 45."""
+    """Counterclockwise rotation of the recorded force for the best fit [degrees], in steps of 5
+    from -45 to 45."""
     frame: str = "x,y"
-    """That frame."""
+    """Frame with the best fit after this rotation."""
     correlation: float = 0.0
     """Correlation after this rotation and in this frame."""
     shaft_correlation: float = 0.0
-    """Largest correlation if the sensor turns with the shaft."""
+    """Maximum correlation if the sensor turns with the shaft."""
     is_shaft_reversed: bool = False
-    """Whether it then seems to turn in the opposite direction: the angle has the wrong sign."""
+    """Whether the sensor then seems to turn in the opposite direction, because the angle has the
+    wrong sign."""
 
 
 def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
@@ -248,8 +251,8 @@ def find_orientation(angle: LogSeries, force: ForceSeries) -> Orientation:
 
 
 def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]:
-    """Return the correlation between the force, read in each of `FORCE_FRAMES`, and the best fit of
-    a model fin."""
+    """Return the correlation between the force in each of `FORCE_FRAMES` and the best fit of a
+    model fin."""
     heading, rate, acceleration = _motion(angle)
     speed = np.abs(rate)
     # Drag, added mass, quadratic thrust and linear thrust.
@@ -260,7 +263,7 @@ def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]
     smooth = np.stack([smoothed(force.real), smoothed(force.imag)])
     smooth -= smooth.mean(axis=1, keepdims=True)
     smooth /= np.linalg.norm(smooth) + 1e-12
-    # QR reduces the fit from two equations per tick to four equations.
+    # QR reduces the fit from two equations per tick to four equations in total.
     basis, model = np.linalg.qr(model)
     correlations = {}
     for frame in FORCE_FRAMES:
@@ -272,7 +275,7 @@ def frame_correlations(angle: LogSeries, force: ForceSeries) -> dict[str, float]
 
 
 def _motion(angle: LogSeries) -> tuple[ForceSeries, LogSeries, LogSeries]:
-    """Return the direction of thrust as a complex number, the fin's rate [rad/s] and its
-    acceleration [rad/s^2]."""
+    """Return the direction of thrust as a complex number, and the rate [rad/s] and acceleration
+    [rad/s^2] of the fin."""
     rate = measure_rate(angle)
     return np.exp(-1j * smoothed(angle)), rate, measure_rate(rate)

@@ -43,26 +43,27 @@ from softfin.data.issues import Issue, Severity, counted
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
 """Plausible lags [ms].
 
-Command to angle, through computer, bus and drive: 32 ms in the virtual tank, 5 ms in the published
-fin. Angle to force: 20 ms in the tank, 45 ms in the published fin.
+The lag from command to angle, caused by computer, bus and drive, is 32 ms in the virtual tank and 5
+ms for the published fin. The lag from angle to force is 20 ms in the tank and 45 ms for the
+published fin.
 """
 
 LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
-"""Largest plausible difference between a log's lag and the median [ms]."""
+"""Maximum plausible difference between the lag of a log and the median [ms]."""
 
 USUAL_LAG_MS = 30.0
 """Typical value of both lags when the clocks agree [ms]."""
 
 MIN_FRAME_CORRELATION = 0.2
-"""Lowest plausible correlation between the force and a model fin in the best axes; the noisiest of
-the published networks' logs has 0.31."""
+"""Minimum plausible correlation between the force and a model fin in the best axes; the noisiest
+log of the published networks has 0.31."""
 
 MIN_REACH_RAD = 0.06
-"""Range of an angle in degrees below which it must be in radians [rad]."""
+"""Range below which an angle that is read as degrees must be in radians [rad]."""
 
 MIN_TURN_DEG = 15
-"""Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
-turned by up to 10 degrees."""
+"""Minimum rotation of the force axes that is reported [degrees]; in good logs, the best axes are
+rotated by up to 10 degrees."""
 
 MAX_REST_ERROR_DEG = 10.0
 """Largest plausible difference between the angle and its command while the fin is at rest
@@ -73,57 +74,58 @@ REST_SLOPES = (0.7, 1.4)
 networks' logs have 0.79 to 0.85."""
 
 SHAFT_GAIN = 0.03
-"""Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
+"""Increase in correlation above which the sensor is reported to turn with the shaft; in good logs,
+the correlation decreases."""
 
 OFFSET_SHARE = 0.2
-"""Largest plausible mean force on the fin at rest, divided by the standard deviation of the
+"""Maximum plausible mean force of the fin at rest, divided by the standard deviation of the
 force."""
 
 DRIFT_SHARE = 0.7
-"""Largest plausible drift of a force over a log, divided by its standard deviation; good logs of
-60 s have up to 0.56. In logs under 50 s, the random motion adds to it, so twice as much is
+"""Maximum plausible drift of a force over a log, divided by its standard deviation; good logs of 60
+s have up to 0.56. In logs under 50 s, random motion adds to the drift, so twice this value is
 plausible."""
 
 MIN_ROUGHNESS = 0.3
-"""Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
-logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
+"""Minimum plausible ratio of the third to the first differences of the force. Good logs have 0.5 to
+2.5; after a 2 Hz low-pass filter, they have 0.01 to 0.25."""
 
 FIN_LENGTHS_M = (0.03, 1.0)
-"""Lengths of a fin that are plausible from the size of the forces."""
+"""Plausible range of the fin length estimated from the size of the forces [m]."""
 
 VELOCITY_UNITS = ("deg/s", "rpm", "rad/s", "turn/s", "dynamixel")
-"""Units that are suggested for a velocity."""
+"""Units that may be suggested for a velocity."""
 
 TEN_BIT_RATIOS = (0.3, 0.145)
-"""Speed against the commanded velocity if registers of 10 bits (XL-320, AX) were read as those of
-the X series: 1,023 counts are 300 degrees and not 90, and a velocity of 1 is 0.111 rpm and not
+"""Ratios of the speed to the commanded velocity if 10-bit registers (XL-320, AX) were read as
+X-series registers: 1,023 counts are 300 degrees, not 90, and a velocity of 1 is 0.111 rpm, not
 0.229."""
 
 FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
 MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
-"""Rotations [degrees] that are equivalent to a frame, the latter after reversing y."""
+"""Rotation [degrees] that is equivalent to each frame after y is reversed."""
 
 COUNTS_FIX = (
     "for a Dynamixel of the X series (4,096 counts per turn), use --angles dynamixel; for another "
     "drive, convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts "
     "per turn (XL-320 and AX: 300 degrees are 1,023 counts), and the velocities as well"
 )
-"""Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
+"""Fix for raw register values of a drive, whose manual contains the conversion factors."""
 
 CAUSES = {
     "angle": "the command differs from it",
     "command_angle": "the fin moves away from it",
 }
-"""Why a channel should change, if not because the fin moves."""
+"""Reasons why channels should change, apart from the motion of the fin."""
 
 CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
 
 class CheckedLog(NamedTuple):
-    """A log with the derived series that the checks need."""
+    """A log, and the series derived from it for the checks."""
 
     raw: LogColumns
-    """Channels as read."""
+    """Channels as read from the file."""
     columns: LogColumns
     """Channels in radians."""
     calm: LogColumns
@@ -131,7 +133,7 @@ class CheckedLog(NamedTuple):
     statistics: LogStatistics
     """Statistics of `calm`."""
     config: ImportConfig
-    """Options with which the log was read; suggested fixes extend them."""
+    """Options with which the log was read; suggested fixes add to them."""
 
     def issue(
         self,
@@ -221,10 +223,10 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
-    """Find jumps of the angle that are too fast for a fin: two joined logs, or an encoder that lost
-    its count."""
+    """Find jumps of the angle that are too fast for a fin; they indicate two joined logs or an
+    encoder that lost count."""
     steps = np.abs(np.diff(log.calm.angle))
-    # 200 rad/s; the jumps in the published networks' logs reach 1.5 rad.
+    # 200 rad/s; jumps in the logs of the published networks reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = (
@@ -241,9 +243,9 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     """Find channels that keep their value although they should change."""
     columns = log.columns
-    # On a fin that moves the force changes, and a drive that is 0.1 rad away from its target moves.
+    # The force on a moving fin changes, and a drive moves if it is 0.1 rad away from its target.
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
-    # A command does not let the fin move away from it.
+    # The fin does not move away from its commanded angle.
     away = columns.angle - columns.command_angle
     leaves = (np.abs(away) > 0.2) & (np.sign(away) * measure_rate(log.calm.angle) > 0.2)
     leaves &= log.statistics.following > 0
@@ -284,12 +286,12 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_force_sensor(log: CheckedLog) -> Iterator[Issue]:
-    """Find forces that repeat, that were filtered, or that are implausible for any fin."""
+    """Find forces that repeat, were filtered, or are implausible for any fin."""
     column = "force_x, force_y"
     force = log.columns.force
     repeated = repeated_share(force, log.moving)
     if repeated > 0.1:
-        # A fit hardly suffers from single rows that are repeated.
+        # Single repeated rows hardly affect a fit.
         severity: Severity = "note" if repeated < 0.4 else "warning"
         message = f"{repeated:.0%} of the rows of the moving fin repeat the row before"
         fix = "read the sensor once per row, at 100 Hz or faster, and record again"
@@ -316,8 +318,8 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     severity: Severity = "error"
     message = f"velocity is {ratio:.3g} times the angle's rate (correlation {correlation:.2f})"
     if ratio == 0:
-        # Many publishers of joint states leave the velocity at 0. A constant velocity is right if
-        # the angle changes at that rate. One sample in a hundred may be a spike.
+        # Many publishers of joint states leave the velocity at 0. A constant velocity is correct if
+        # the angle changes at this rate. One sample in a hundred may be a spike.
         velocity = log.columns.velocity[0]
         rest = np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99)
         if rest <= REST_RATE_RAD_S:
@@ -355,7 +357,7 @@ def check_speed(log: CheckedLog) -> Iterator[Issue]:
     fix = option or (
         f"find the unit in the drive's manual; multiplied by {ratio:.3g}, the column would fit"
     )
-    # A clock, the angle's scale or a slow drive may be the reason for such ratios.
+    # Such ratios may be caused by a clock, the scale of the angle or a slow drive.
     if option is None and 0.05 < ratio < 20:
         name = "speed"
         severity = "warning"
@@ -370,9 +372,9 @@ def check_speed(log: CheckedLog) -> Iterator[Issue]:
 
 
 def _unit_option(log: CheckedLog, channel: AngleChannel, factor: float) -> str | None:
-    """Return the option for the unit that makes a velocity larger by this factor, or None."""
+    """Return the option for the unit that scales a velocity by this factor, or None."""
     angles = dict(log.config.angles)
-    # `factor` is that of the column after the conversion that check_degrees suggests.
+    # `factor` applies to the column after the conversion that check_degrees suggests.
     wrong = channels_in_degrees(log.raw, log.config.velocity_rad_s is not None)
     angles |= {each: "deg" for each in ANGLES if each in wrong}
     known = UNITS["velocity"]
@@ -439,7 +441,7 @@ def check_rest(log: CheckedLog) -> Iterator[Issue]:
     angle = columns.angle[at_rest]
     if len(angle) < RATE_HZ or np.ptp(command) < 1e-3 or abs(log.statistics.following) < 0.3:
         return
-    # A blocked drive is at rest, too, so the median counts and not the mean.
+    # A blocked drive is also at rest, so the median is used instead of the mean.
     offset = np.degrees(np.median(angle - command))
     slope = float(np.polyfit(command, angle, 1)[0])
     message = ""
@@ -457,8 +459,8 @@ def check_rest(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
-    """Find force axes that are swapped, negated or turned, a sensor that turns with the shaft, and
-    a force that is unrelated to the motion."""
+    """Find swapped, negated or rotated force axes, a sensor that turns with the shaft, and a force
+    that is unrelated to the motion."""
     found = log.statistics
     is_angle_mirrored = found.following < -0.3 and found.frame == "x,-y"
     if found.frames is None or is_clock_off(found) or is_angle_mirrored:
@@ -496,7 +498,7 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
     else:
         return
     low, high = np.degrees([log.calm.command_angle.min(), log.calm.command_angle.max()])
-    # The right axes depend on the zero of the angle, which is doubtful if no command reaches it.
+    # The correct axes depend on angle 0, which is uncertain if no command reaches it.
     excludes_zero = (low > 0 or high < 0) and not log.config.angle_zero
     if excludes_zero and name in ("turned force", "force axes"):
         name = "angle zero"
@@ -510,8 +512,8 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
 
 
 def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
-    """Return the option for a frame, and the options that explain a force as well that fits in this
-    frame after a rotation."""
+    """Return the option for a frame, and other options that may fix a force that fits this frame
+    after a rotation."""
     option = f"--force={compose_frames(config.force, frame)}"
     turn = FRAME_TURNS.get(frame, 0) + turn_deg
     mirrored = ""
@@ -528,7 +530,7 @@ def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
 
 
 def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
-    # The complete new value of the option: a channel that is already negated is removed.
+    # The option gets its complete new value, without channels that are negated twice.
     changed = [name for name in SIGNED if (name in config.negate) != (name in names)]
     return f"--negate {','.join(changed)}" if changed else "remove --negate"
 
@@ -543,13 +545,13 @@ def _angle_zero_option(config: ImportConfig, degrees: float | int) -> str:
 
 
 def is_clock_off(found: LogStatistics) -> bool:
-    """Return whether only a lag beyond 0.2 s explains the force. In good logs of 10 s and more, a
-    far lag explains at most 3% more than a near one, by chance."""
+    """Return whether only a lag beyond 0.2 s explains the force. In good logs of at least 10 s, a
+    lag beyond 0.2 s explains at most 3% more than one within 0.2 s, by chance."""
     return found.far_share > found.force_share + 0.1
 
 
 def check_force_clock(log: CheckedLog) -> Iterator[Issue]:
-    """Find a force whose clock is off, always or at times."""
+    """Find a force whose clock is misaligned in all or part of the log."""
     found = log.statistics
     fix = "synchronize the clocks, or stamp sensor and drive on one computer, and record again"
     if is_clock_off(found):
@@ -603,12 +605,13 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
         for lag, log in measured:
             is_far = abs(lag - usual) > LAG_SPREAD_MS[name]
             is_plausible = low <= lag <= high
-            # Report a log if it stands out or if all are implausible. The lag of one noisy log is
-            # uncertain, so it may be slightly implausible if the median is not.
+            # Report a log if it differs from the others or if all are implausible. The lag of a
+            # single noisy log is uncertain, so it may be slightly implausible while the median is
+            # plausible.
             if not is_far and (is_plausible or low <= usual <= high):
                 continue
-            # Commands that are stamped late make the lag look shorter; a force that is stamped late
-            # makes it look longer.
+            # Late time stamps of commands make the lag appear shorter; late time stamps of forces
+            # make it appear longer.
             late = lag - USUAL_LAG_MS
             column = "force_x, force_y"
             ends = "angle to force"
@@ -634,15 +637,15 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
 
 
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Find a dataset without test logs, and training commands that do not contain angle 0 or that
-    cover too little of their own range."""
+    """Find a dataset without test logs, and training commands that exclude angle 0 or cover too
+    little of their own range."""
     if not any(one.part == "test" for one in logs):
         fix = "select some with --test PATTERN, or put them into a folder named test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
     training = [one.log for one in logs if one.part == "train"]
     if training:
         limits = command_limits(training)
-        # Larger values are not in radians; check_degrees and check_counts report that.
+        # Larger values are not in radians and are reported by check_degrees and check_counts.
         is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
         if is_in_radians and limits.angle_min < limits.angle_max and limits.rest_angle != 0:
             message = (
@@ -659,7 +662,8 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)
         steps.append(pairs[1:][(np.diff(pairs, axis=0) != 0).any(axis=1)])
-    # 300 random commands leave hardly any of the 36 cells empty, or of 6 at one velocity.
+    # 300 random commands leave hardly any of the 36 cells empty (6 cells if there is only one
+    # velocity).
     if sum(map(len, steps)) < 300:
         return
     angle, velocity = np.concatenate(steps).T

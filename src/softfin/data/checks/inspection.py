@@ -1,4 +1,4 @@
-"""Inspect logs at 100 Hz: compute the statistics of each log and list its issues."""
+"""Inspects logs at 100 Hz: computes the statistics of each log and lists its issues."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -33,8 +33,8 @@ from softfin.data.importing.importing import ANGLES, FORCE_FRAMES, ImportConfig
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 POOLED = 100
-"""Maximum number of logs that are checked together if each one is too short for estimating signs,
-axes and lags."""
+"""Maximum number of logs that are checked together if each log is too short to estimate signs, axes
+and lags."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Inspection:
     logs: list[LogStatistics]
 
     def summary(self) -> JsonObject:
-        """Return the amount of data, the columns that were read, the lags [ms], frame correlations
-        and ranges of further channels over all logs, and the number of issues."""
+        """Return a summary of all logs: amount of data, columns, lags [ms], frame correlations,
+        ranges of additional channels, and number of issues."""
         frames = _mean_frames(self.logs)
         columns = {}
         for issue in self.issues:
@@ -85,26 +85,26 @@ def inspect(
     config: ImportConfig | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
-    """Check logs; `issues` are the ones found while reading the logs with `config`."""
+    """Check logs; `issues` were found while reading the logs with `config`."""
     config = config or ImportConfig()
     found = list(issues)
     statistics = []
     series = []
     comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
-        # Later checks see repaired channels, so that one fault does not hide another.
+        # Later checks use repaired channels, so that one fault does not hide a different one.
         raw = to_columns(named.log)
         columns = raw
         for channel in channels_in_degrees(raw, config.velocity_rad_s is not None):
             columns = columns._replace(**{channel: np.radians(getattr(raw, channel))})
-        # The velocity keeps its spikes: it is usually a difference of angles, and therefore noisy.
+        # Spikes in the velocity are kept: it is usually a difference of angles and therefore noisy.
         calm = columns._replace(
             angle=without_spikes(columns.angle),
             force_x=without_spikes(columns.force_x),
             force_y=without_spikes(columns.force_y),
         )
         statistics.append(measure(calm, named))
-        # Suggested options extend those of the file.
+        # Suggested options are added to the options from the file.
         of_file = {channel: named.units[channel] for channel in ANGLES if channel in named.units}
         angles = of_file | config.angles
         own = config.model_copy(update={"angles": angles})
@@ -123,7 +123,7 @@ def inspect(
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
-        # Short logs are joined end to end; the joins are few compared with the command steps.
+        # Short logs are joined end to end; there are few joins compared with command steps.
         pool = series[:POOLED]
         joined = LogColumns(*map(np.concatenate, zip(*pool, strict=True)))
         name = f"the first {len(pool)} logs together"
@@ -138,7 +138,7 @@ def inspect(
 
 
 def _mean_frames(logs: Sequence[LogStatistics]) -> dict[str, float] | None:
-    """Return the mean correlation of each frame over the logs that are long enough."""
+    """Return the mean correlation of each frame over all logs that are long enough."""
     found = [one.frames for one in logs if one.frames is not None]
     if not found:
         return None

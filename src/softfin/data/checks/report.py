@@ -1,4 +1,4 @@
-"""Write an inspection of logs as a folder: ``inspection.json`` and a figure of the issues."""
+"""Writes an inspection of logs as a folder with ``inspection.json`` and a figure of the issues."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,7 +50,7 @@ def write_inspection(
 
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
-    """Draw the section of a log with the most severe issue that has a row, and the clocks and force
+    """Draw the log section around the most severe issue that has a row, and the clocks and force
     axes of all logs."""
     with styled():
         figure = new_figure(13, 8.4)

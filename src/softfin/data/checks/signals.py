@@ -1,4 +1,5 @@
-"""Statistics of channels: wrong samples, frozen, clipped and filtered values, drift and scales."""
+"""Statistics of channels: invalid samples, frozen, clipped and filtered values, drift and
+scales."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -7,7 +8,8 @@ from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.data.checks.alignment import MIN_ALIGNED_S, ForceSeries, LogSeries, measure_rate
 
 SINGLE_SAMPLE = np.array([0, 0, 0, 0, -0.5, 1, -0.5, 0, 0, 0, 0])
-"""Second differences around a single wrong sample, divided by the one at the sample."""
+"""Second differences around a single invalid sample, divided by the second difference at the
+sample."""
 
 
 def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
@@ -24,12 +26,12 @@ def usual_range(values: LogSeries) -> float:
 def without_spikes(values: LogSeries) -> LogSeries:
     """Replace outliers of one or two samples with the median of five samples.
 
-    A spike deviates from that median by more than 1.2 times half the range of 98% of the samples;
-    jumps in the published networks' logs reach 0.8 times. Its second difference must also have a
-    robust z-score above 8, so that noise is not treated as spikes.
+    A spike deviates from this median by more than 1.2 times half the range of 98% of the samples;
+    jumps in the logs of the published networks reach 0.8 times. The second difference must also
+    have a robust z-score above 8, so that noise is not treated as spikes.
 
-    Five or more smaller deviations of single samples are spikes, too, if the surroundings are
-    smooth. Logs of the published networks have up to three of them.
+    Five or more smaller deviations of single samples are also spikes if the neighbouring samples
+    are smooth. Logs of the published networks have up to three such deviations.
     """
     if len(values) < MIN_ALIGNED_S * RATE_HZ:
         return values
@@ -38,8 +40,8 @@ def without_spikes(values: LogSeries) -> LogSeries:
     deviation = np.abs(values - middle)
     bend = np.pad(np.diff(values, 2), 1)
     size = np.abs(bend)
-    # At rest most second differences are exactly 0, so only the others set the scale. 1.4826 times
-    # the median of absolute values is the standard deviation of normal noise.
+    # At rest, most second differences are exactly 0, so only the other ones set the scale. The
+    # standard deviation of normal noise is 1.4826 times the median of absolute values.
     scale = 1.4826 * float(np.median(size[size > 0])) if bend.any() else 0.0
     half_range = max(0.5 * usual_range(values), 1e-9)
     is_spike = (deviation > 1.2 * half_range) & (size > 8.0 * scale)
@@ -58,7 +60,7 @@ def frozen_runs(values: LogSeries) -> list[tuple[int, int]]:
         return []
     steps = np.abs(np.diff(values))
     count = float(np.percentile(steps[steps > 0], 1)) if steps.any() else 0.0
-    # In a coarse channel, one count is not small.
+    # One count of a coarse channel is not small.
     tolerance = min(2.001 * count, 0.04 * usual_range(values))
     windows = np.lib.stride_tricks.sliding_window_view(values, RATE_HZ)
     is_frozen = np.ptp(windows, axis=1) <= tolerance
@@ -67,10 +69,10 @@ def frozen_runs(values: LogSeries) -> list[tuple[int, int]]:
 
 
 def clipped_rows(values: LogSeries, moving: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
-    """Return the runs of samples at the upper end of the range if a sensor's range ends there.
+    """Return the runs of samples at the upper end of the range if the sensor saturates there.
 
-    Most of the highest samples of a clipped signal lie within 1% of its range, even if it was
-    filtered later. Good logs have at most twice as many there as in the next 4%.
+    Most of the highest samples of a clipped signal are within 1% of its range, even if it was
+    filtered later. Good logs have at most twice as many samples in this 1% as in the next 4%.
     """
     below = (values.max() - values) / max(usual_range(values), 1e-9)
     at_end = moving & (below < 0.01)
@@ -85,13 +87,14 @@ def roughness(force: ForceSeries) -> float:
 
 
 def repeated_share(values: LogSeries | ForceSeries, moving: Bool[np.ndarray, "ticks"]) -> float:
-    """Return the share of the rows of a moving fin that repeat the value of the row before."""
+    """Return the share of the rows with a moving fin that repeat the value of the previous row."""
     repeats = np.diff(values)[moving[1:]] == 0
     return float(repeats.sum() / max(len(repeats), 1))
 
 
 def drift(force: LogSeries) -> float:
-    """Return the change of a force over the log: ten times the slope of the medians of tenths."""
+    """Return the change of a force over the log: ten times the slope of the medians of ten equal
+    parts."""
     medians = [float(np.median(part)) for part in np.array_split(force, 10)]
     return 10 * float(np.polyfit(range(10), medians, 1)[0])
 
@@ -112,8 +115,8 @@ def velocity_ratio(angle: LogSeries, velocity: LogSeries) -> tuple[float, float]
 
 
 def speed_ratio(command: LogSeries, velocity: LogSeries, angle: LogSeries) -> float | None:
-    """Return the median ratio of the fin's speed to the commanded velocity while it moves steadily
-    and is more than 0.1 rad from its target; None if that is so for less than half a second."""
+    """Return the median ratio of the speed to the commanded velocity while the fin moves steadily
+    and is more than 0.1 rad from its target; None for less than half a second of such motion."""
     rate = measure_rate(angle)
     speed = np.abs(rate)
     # Steady: the speed would take more than 0.1 s to change by itself.
@@ -125,7 +128,7 @@ def speed_ratio(command: LogSeries, velocity: LogSeries, angle: LogSeries) -> fl
 
 
 def fin_length(angle: LogSeries, force: ForceSeries) -> float:
-    """Estimate the length of a fin in water [m]: the force is about density length^4 rate^2. The
-    tank's fins of 0.1 to 0.5 m are within 20%."""
+    """Estimate the length of a fin in water [m]: the force is about density * length^4 * rate^2.
+    For fins of 0.1 to 0.5 m in the virtual tank, the error is within 20%."""
     motion = 1000.0 * (measure_rate(angle) ** 2).mean()
     return float(1.15 * (force.std() / max(motion, 1e-9)) ** 0.25)

@@ -1,6 +1,6 @@
 """Statistics of one log at 100 Hz: lags, force axes and the force at rest.
 
-All channels are in double precision. `checks` decides which statistics are issues.
+All channels are in double precision. The module `checks` decides which statistics are issues.
 """
 
 import dataclasses
@@ -26,8 +26,8 @@ from softfin.data.checks.signals import fin_length, speed_ratio, true_runs, velo
 from softfin.data.importing.clocks import NamedLog, Part
 
 MAX_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi}
-"""Magnitudes above which values must be in degrees: a fin never makes a full turn. A large measured
-velocity proves nothing: jumps in the published networks' logs reach 145 rad/s."""
+"""Magnitudes above which values must be in degrees, because a fin never makes a full turn. A large
+measured velocity proves nothing: jumps in the logs of the published networks reach 145 rad/s."""
 
 MAX_DEGREES = 360.0
 """Magnitude above which an angle must be in encoder counts, not in degrees."""
@@ -48,7 +48,7 @@ class LogColumns(NamedTuple):
 
     @property
     def force(self) -> ForceSeries:
-        """Both forces."""
+        """Force along x and y, as real and imaginary parts [N]."""
         return self.force_x + 1j * self.force_y
 
 
@@ -68,11 +68,11 @@ class LogStatistics(ForceLag, Orientation):
     """Mean force while the fin is settled [N]; None if it never settles."""
     force_std_n: tuple[float, ...]
     channels: dict[str, tuple[float, float]]
-    """Minimum and maximum of each further channel."""
+    """Minimum and maximum of each additional channel."""
     fin_length_m: float
-    """Length of a fin that makes forces of this size [m]."""
+    """Fin length estimated from the size of the forces [m]."""
     speed_ratio: float | None
-    """Speed of moves, divided by the commanded velocity."""
+    """Speed of steady motion, divided by the commanded velocity."""
 
 
 def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[float, str]]:
@@ -91,13 +91,13 @@ def to_columns(log: Log) -> LogColumns:
 
 
 def channels_in_counts(columns: LogColumns) -> list[str]:
-    """Return the angles that are in encoder counts."""
+    """Return the names of the angle channels that are in encoder counts."""
     names = ("command_angle", "angle")
     return [name for name in names if _magnitude(getattr(columns, name)) > MAX_DEGREES]
 
 
 def _magnitude(values: LogSeries) -> float:
-    # Not the maximum: one sample in a hundred may be a spike.
+    # The maximum is not used because one sample in a hundred may be a spike.
     return float(np.percentile(np.abs(values), 99))
 
 
@@ -108,11 +108,11 @@ def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[st
     for name, limit in MAX_RADIANS.items():
         if _magnitude(getattr(columns, name)) > limit:
             found.append(name)
-    # A velocity in degrees is only recognizable by its ratio to an angle in degrees.
+    # A velocity in degrees per second can only be recognized by its ratio to an angle in degrees.
     if "angle" in found and 0.5 < velocity_ratio(columns.angle, columns.velocity)[1] < 2:
         found.append("velocity")
-    # A file with both angles in degrees has the profile velocity in degrees as well, unless the
-    # fin moves at about that velocity in rad/s or rpm.
+    # If both angles are in degrees, the profile velocity is also in degrees per second, unless the
+    # fin moves at about this velocity in rad/s or rpm.
     if len({"angle", "command_angle"} & {*found}) == 2 and not is_velocity_given:
         command = np.radians(columns.command_angle)
         ratio = speed_ratio(command, columns.command_velocity, np.radians(columns.angle))
@@ -131,7 +131,7 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
     following = 0.0
     if rows >= MIN_ALIGNED_S * RATE_HZ:
         lag = find_force_lag(columns.angle, force)
-        # A force that lags by n ticks belongs to the motion n ticks earlier.
+        # A force with a lag of n ticks belongs to the motion n ticks earlier.
         lag_ticks = round((lag.force_lag_ms or 0) * RATE_HZ / 1e3)
         orientation = find_orientation(columns.angle, np.roll(force, -lag_ticks))
         speed = speed_ratio(*columns[:3])
@@ -141,7 +141,7 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
             following = float(np.corrcoef(earlier, later)[0, 1])
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S):
-        # The water around a fin of half a metre takes another 0.8 s to become still.
+        # The water around a fin of 0.5 m takes a further 0.8 s to become still.
         settled[start + 4 * RATE_HZ // 5 : end] = True
     offset = None
     if settled.sum() >= RATE_HZ:

@@ -1,8 +1,8 @@
-"""Recordings as read, and their conversion to logs at 100 Hz.
+"""Recordings as read from files, and their conversion to logs at 100 Hz.
 
-Rows without a valid time or value are dropped, gaps split the recording, and time starts at 0. A
-piece on a steady 100 Hz clock is otherwise unchanged. Other pieces are resampled: commands are held
-and readings are interpolated, after a low-pass filter if the source is faster.
+Rows without a valid time or value are dropped, gaps split the recording, and time starts at 0.
+Pieces with a steady 100 Hz clock are otherwise unchanged. Other pieces are resampled: commands are
+held and readings are interpolated, after a low-pass filter if the source rate is higher.
 """
 
 import itertools
@@ -26,7 +26,7 @@ RATES_HZ = (5.0, 20_000.0)
 """Plausible sampling rates [Hz]; outside this range, the time unit must be wrong."""
 
 MAX_GRID_S = 0.002
-"""Coarsest plausible resolution of a clock that does not count the rows [s]."""
+"""Coarsest plausible clock resolution, unless the clock counts rows [s]."""
 
 MAX_LONG_STEPS = 0.15
 """Largest plausible share of such a clock's steps that are longer than the others."""
@@ -36,7 +36,7 @@ CUTOFF_HZ = 40.0
 (50 Hz) of the logs and above the frequencies of fin motion."""
 
 KERNEL_S = 0.1
-"""Length of the filter kernel [s]; 25 Hz passes and 56 Hz is suppressed."""
+"""Length of the filter kernel [s], which passes 25 Hz and suppresses 56 Hz."""
 
 TURN_RAD = 2 * np.pi
 
@@ -44,8 +44,8 @@ TURN_TOLERANCE_RAD = 0.5
 """Tolerance around a jump of one turn [rad]: how far a fast fin moves in 20 ms."""
 
 EARLY_S = 1e-6
-"""Largest delay at which a time stamp is treated as on time [s]: the resolution of a Unix clock in
-double precision."""
+"""Maximum deviation at which a time stamp is treated as on time [s]: the resolution of Unix times
+in double precision."""
 
 Span = tuple[float, float]
 """Start and end of a piece between two gaps [s]."""
@@ -57,13 +57,13 @@ Channels = dict[str, Float[np.ndarray, "rows"]]
 
 
 class Track(NamedTuple):
-    """Channels that share a clock: a whole table, or one topic of a bag."""
+    """Channels that share a clock: a complete table or one topic of a bag."""
 
     time: Float[np.ndarray, "rows"]
     """Time as recorded [s]; it may repeat, jump or be NaN."""
     channels: Channels
-    """Values in SI units and softfin's axes; NaN where a value is missing. Channels that not every
-    log has are under their names in a log."""
+    """Values in SI units and in softfin's axes; missing values are NaN. Additional channels have
+    their column names from log files."""
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
         """Return a track with the selected rows."""
@@ -72,7 +72,7 @@ class Track(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One recording before any check."""
+    """One recording, before any checks."""
 
     name: str
     part: Part
@@ -90,7 +90,7 @@ class NamedLog(NamedTuple):
     part: Part
     log: Log
     start_s: float = 0.0
-    """Time on the recording's clock when the log's time is 0 [s]."""
+    """Time on the recording's clock at which the log starts [s]."""
     units: Mapping[str, str] = MappingProxyType({})
     """Units of the channels in the file, unless they are SI units."""
 
@@ -102,7 +102,7 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
     time_unit = config.time_unit or recording.units.get("time")
     config = config.model_copy(update={"time_unit": time_unit})
     for name, run in _split_at_restarts(recording):
-        # Subtract the first time of any track: near Unix times, doubles only resolve 0.24 us.
+        # Subtract the first time of any track, because doubles resolve Unix times only to 0.24 us.
         starts = []
         for track in run:
             times = track.time[np.isfinite(track.time)]
@@ -135,8 +135,8 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
 
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
-    """Split a recording where the clock of every track goes back by more than a second: there, a
-    new log starts."""
+    """Split a recording at each place where the clock of every track goes back by more than a
+    second; a new log starts there."""
     split = []
     for track in recording.tracks:
         restarts = np.flatnonzero(np.diff(track.time) < -1.0) + 1
@@ -155,8 +155,8 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
 
 
 def _split_further(track: Track) -> tuple[Track, list[Track]]:
-    """Split a track into the channels of every log, and a track with the valid rows of each other
-    channel: missing values there cost no rows of the log."""
+    """Split a track into the channels of every log and one track per additional channel, so that
+    values missing in the latter cost no rows of the log."""
     needed = {}
     further = []
     for name, values in track.channels.items():
@@ -172,11 +172,11 @@ def _split_further(track: Track) -> tuple[Track, list[Track]]:
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
-    """Drop rows with missing values and rows whose time repeats or goes back; check the rate of the
-    remaining rows."""
+    """Drop rows with missing values and rows whose time repeats or goes back, and check the rate of
+    the remaining rows."""
     finite, rows, issues = _finite_rows(track, name, config)
     is_command = track.channels.keys() <= COMMAND_CHANNELS
-    # One command is enough, because it holds until the next one.
+    # A single command is enough, because it is valid until the next one.
     if len(finite.time) < 2 - is_command:
         raise LogError(
             f"{name}: only {counted(len(finite.time), 'row')} with a time and values for "
@@ -187,7 +187,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     if is_command:
         return valid, issues
     _check_digits(finite, valid, name)
-    # Unwrap first: derivatives, filters and interpolation must not see the jumps.
+    # Unwrap first, because jumps must not affect derivatives, filters and interpolation.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
     if not any(issue.name == "coarse clock" for issue in issues):
@@ -214,7 +214,7 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
 
 
 def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, list[Issue]]:
-    # A row is valid if it is later than every row before it, not just the previous one.
+    # A row is valid only if it is later than all previous rows, not just the last one.
     latest = np.maximum.accumulate(track.time)
     forward = np.append(True, track.time[1:] > latest[:-1])
     late = np.flatnonzero(~forward)
@@ -245,7 +245,8 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
 
 
 def _check_digits(track: Track, valid: Track, name: str) -> None:
-    """Raise LogError if a clock has so few digits that most rows have the time of another one."""
+    """Raise LogError if a clock has so few digits that most rows share their time with a different
+    row."""
     num_times = len(valid.time)
     if num_times > 1:
         step_s = float(np.median(np.diff(valid.time)))
@@ -280,7 +281,7 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
 
 def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
     steps = np.diff(track.time)
-    # The mean without gaps, because the median of rounded times is rounded too.
+    # The mean without gaps, because the median of rounded times is also rounded.
     rate = 1 / float(steps[steps < 1.5 * np.median(steps)].mean())
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
@@ -310,7 +311,7 @@ def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
 
 
 def _rate_fix(rate: float, config: ImportConfig) -> str:
-    """Return a fix for an implausible rate: the unit that makes it plausible, if there is one."""
+    """Return a fix for an implausible rate: a unit that makes it plausible, if there is one."""
     given = UNITS["time"][config.time_unit or "s"]
     for unit, factor in UNITS["time"].items():
         if RATES_HZ[0] <= rate * given / factor <= RATES_HZ[1]:
@@ -321,7 +322,7 @@ def _rate_fix(rate: float, config: ImportConfig) -> str:
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
     """Find the rows at which an angle jumps by one turn.
 
-    Returns no rows for an angle that exceeds one turn: its encoder does not wrap.
+    Returns no rows if the angle exceeds one turn, because its encoder does not wrap.
     """
     if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
         return np.array([], int)
@@ -329,7 +330,7 @@ def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
 
 
 def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
-    """Remove jumps by one turn; the median is placed in the turn around 0, the rest position."""
+    """Remove jumps by one turn, and shift the median into the turn around the rest position 0."""
     continuous = np.unwrap(angle)
     return np.asarray(continuous - TURN_RAD * np.round(np.median(continuous) / TURN_RAD))
 
@@ -337,7 +338,7 @@ def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
     """Shift clocks by the configured lags; channels with different lags become separate tracks."""
     force_lag_s = config.force_lag_ms / 1e3
-    # Torque and force come from one sensor.
+    # Torque and force are measured by the same sensor.
     lags = {"command": config.command_lag_ms / 1e3, "force": force_lag_s, "torque": force_lag_s}
     groups: dict[float, Channels] = {}
     for channel, values in track.channels.items():
@@ -348,7 +349,7 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
 def _split_at_gaps(
     tracks: list[Track], name: str, config: ImportConfig
 ) -> tuple[list[Span], list[Issue]]:
-    """Find the spans in which all tracks have readings.
+    """Find the spans without a gap in any track.
 
     Gaps between commands do not matter, because a command is valid until the next one.
     """
@@ -400,7 +401,7 @@ def _find_gaps(
     gaps = []
     for track in tracks:
         steps = np.diff(track.time)
-        # A slow but steady clock has no gaps, so the limit is never below 1.5 periods.
+        # A slow but steady clock has no gaps, so the limit is at least 1.5 periods.
         widest = max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
         for row in np.flatnonzero(steps > widest).tolist():
             a, b = track.time[row : row + 2].tolist()
@@ -422,7 +423,8 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
 
 
 def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
-    """Return the rows unchanged if they share one clock that is valid for a log; otherwise None."""
+    """Return the rows unchanged if all tracks share a clock that is valid for a log; otherwise
+    None."""
     time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
     try:
         check_columns({"time_s": time}, "")
@@ -438,7 +440,8 @@ def _further_channels(
     name: str,
     config: ImportConfig,
 ) -> tuple[dict[str, Float[np.ndarray, "ticks"]], list[Issue]]:
-    """Return the further channels at the times of a log, and a warning for each that has gaps."""
+    """Return the additional channels at the times of a log, and a warning for each channel with
+    gaps."""
     channels = {}
     issues = []
     for track in tracks:
@@ -469,9 +472,9 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
     grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass filter must not see rows beyond a gap, so it gets only those from the last
-        # row before the start to the first row after the end. A command holds no matter how long
-        # ago it was issued, so commands need all rows.
+        # The low-pass filter must not use rows beyond a gap, so it gets only the rows from the last
+        # one before the start to the first one after the end. Commands need all rows, because a
+        # command is valid until the next one.
         within = _around(track, span)
         for name, values in track.channels.items():
             if name in COMMAND_CHANNELS:
@@ -488,8 +491,8 @@ def interpolated(
 ) -> Float[np.ndarray, "ticks"]:
     """Interpolate a reading at the times of `grid`; `time` must increase strictly.
 
-    The low-pass filter for faster sources is a windowed sinc without delay. At the ends it uses the
-    available samples only.
+    The low-pass filter for faster sources is a windowed sinc without delay. At the ends, it uses
+    only the available samples.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else TICK_S
     # Sources below about 150 Hz are only interpolated.

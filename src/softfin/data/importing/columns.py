@@ -1,8 +1,9 @@
-"""Assign columns to channels, and convert from the recording's units and axes to softfin's.
+"""Assigns columns to channels, and converts the units and axes of a recording to softfin's.
 
 The user's options take precedence, then softfin's own column names, then names that `read_name`
-recognizes. If two columns could be the same channel, neither is used and an error asks the user to
-choose. Every column whose name is not softfin's own is reported with its unit.
+recognizes. If two columns could be the same channel, neither is used, and the error message
+suggests an option for the choice. Every column with a different name from softfin's own is reported
+with its unit.
 """
 
 import difflib
@@ -47,11 +48,11 @@ class Column(NamedTuple):
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
     """Find the column of each channel; raises LogError, with the option to use, if the choice is
-    not unique for a channel of every log."""
+    ambiguous for a channel of every log."""
     own = [name for name in OWN_NAMES if name in names and OWN_NAMES[name] not in config.columns]
     found = {OWN_NAMES[name]: name for name in own}
     found |= _mapped_columns(names, config, source)
-    # Channels with a fixed value for the entire file are not looked up by name.
+    # Channels with one value for the entire file are not looked up by name.
     options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
@@ -64,7 +65,7 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     for channel in (*CHANNELS, *FURTHER):
         if channel in found:
             columns[channel] = _column(channel, found[channel], config)
-            # A time may also be text, such as 10:30:00, whatever its name ends in.
+            # Times may also be text, such as 10:30:00, whatever unit the column name ends in.
             if channel != "time":
                 check_unit(channel, columns[channel], source)
     return columns
@@ -103,7 +104,7 @@ def check_unit(channel: str, column: Column, source: str) -> None:
 
 
 def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:
-    """Return the columns that the option --columns assigns."""
+    """Return the columns assigned by the option --columns."""
     mapped: dict[str, str] = {}
     for channel, name in config.columns.items():
         if name != NO_COLUMN:
@@ -151,11 +152,12 @@ def _recognized_columns(
 
 
 def _channel_and_unit(name: str) -> tuple[str, bool]:
-    """Return the channel of a name (empty if there is none), and whether its unit is known."""
+    """Return the channel for a column name (empty if there is none), and whether its unit is
+    known."""
     read = read_name(name)
     if read is not None:
         channel, unit = read
-        # A torque or current without a unit may be a register of the drive, in counts.
+        # A torque or current without a unit may be a drive register in counts.
         return (channel, True) if channel in CHANNELS or unit is not None else ("", False)
     for kind in UNITS:
         unknown = split_unknown_unit(name, kind)
@@ -188,8 +190,8 @@ def _missing_error(
 
 
 def _preferred_velocities(names: list[str]) -> list[str]:
-    """Prefer profile velocities; a goal velocity next to a profile velocity is for the drive's
-    velocity mode."""
+    """Prefer profile velocities; a goal velocity next to a profile velocity is for the velocity
+    mode of the drive."""
     profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
     return profiles or names
 
@@ -200,7 +202,8 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
         return config.time_unit
     if channel.startswith("force"):
         return config.force_unit
-    # Not config.angles.get(channel): the keys are literals, and `channel` may be any channel.
+    # config.angles.get(channel) would be a type error: the keys are literals, and `channel` may be
+    # any channel.
     unit = next((unit for angle, unit in config.angles.items() if angle == channel), None)
     if unit is None or unit in UNITS[KINDS[channel]]:
         return unit
@@ -223,10 +226,10 @@ def converted(
     config: ImportConfig,
     units: Mapping[str, str] | None = None,
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Convert to SI units and to softfin's signs and axes; further channels get their names in a
-    log.
+    """Convert to SI units and to softfin's signs and axes; additional channels get their column
+    names in log files.
 
-    Units come from `units`, otherwise from the options; the default is SI.
+    Units are taken from `units`, otherwise from the options; the default is SI.
     """
     result = {}
     for channel, values in channels.items():
@@ -235,7 +238,7 @@ def converted(
         if kind == "angle":
             values = values - config.angle_zero
         result[channel] = values if unit == SI[kind] else values * unit_factor(kind, unit)
-    # A reversed angle reverses its velocity.
+    # If the angle is reversed, so is its velocity.
     negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])}
     for channel in negated & result.keys():
         result[channel] = -result[channel]
@@ -248,9 +251,9 @@ def converted(
             result["torque_x"], result["torque_y"], config.force
         )
     else:
-        # The torque about one axis alone cannot be turned.
+        # A torque about only one axis cannot be rotated.
         result = {name: result[name] for name in result if name not in ("torque_x", "torque_y")}
-    # A sensor with x and y mirrored faces the other way, so its z axis is reversed.
+    # A sensor with mirrored x and y axes is upside down, so its z axis is reversed.
     x, y = np.eye(2)
     side = round(float(np.linalg.det(turned(x, y, config.force))))
     for channel in {"force_z", "torque"} & result.keys():

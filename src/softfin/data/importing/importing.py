@@ -12,13 +12,13 @@ from softfin.core.option_types import NAMES, PAIRS
 from softfin.data.importing.names import KINDS, UNITS, Channel, FurtherChannel
 
 NO_COLUMN = "-"
-"""Value of --columns for a channel that is not in the file, even if one of the column names looks
-like a match."""
+"""Value of --columns for a channel that is not in the file, even if a column name seems to
+match."""
 
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 
 ANGLES: tuple[AngleChannel, ...] = get_args(AngleChannel)
-"""Channels with an angle or velocity unit."""
+"""Channels with units of angle or angular velocity."""
 
 SignedChannel = Literal["command_angle", "angle", "velocity"]
 
@@ -28,34 +28,35 @@ SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 Topic = Literal["command", "joint", "wrench", "current"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
-"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor axes."""
+"""Possible orientations of a force sensor: the sensor axes along softfin's +x and +y."""
 
 
 class ImportConfig(Configuration):
     """How to read recordings; the defaults match softfin's own logs."""
 
     columns: Annotated[dict[Channel, str], PAIRS] = pydantic.Field(default_factory=dict)
-    """Column of channels, e.g. ``angle=position,force_x=Fx``; ``-`` for none (default: by name)."""
+    """Columns of channels, e.g. ``angle=position,force_x=Fx``; ``-`` for none (default: by
+    name)."""
     topics: Annotated[dict[Topic, str], PAIRS] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
     command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
     stamps: Literal["header", "logging"] = "header"
-    """Times of a bag's messages: in their headers, or of logging if the headers are wrong."""
+    """Times of bag messages: from their headers, or of logging if the headers are wrong."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
-    """Velocity of all commands in files without that column [rad/s]."""
+    """Velocity of all commands in files without a velocity column [rad/s]."""
     time_unit: TimeUnit | None = None
     """Unit of the time column (default: from the column name, or s)."""
     angles: Annotated[dict[AngleChannel, str], PAIRS] = pydantic.Field(default_factory=dict)
-    """Unit of angles, e.g. ``deg`` or ``command_angle=deg,command_velocity=rpm`` (default: by name,
-    or rad)."""
+    """Units of angles, e.g. ``deg`` or ``command_angle=deg,command_velocity=rpm`` (default: by
+    name, or rad)."""
     angle_zero: float = pydantic.Field(default=0.0, allow_inf_nan=False)
-    """Value of the angle columns at angle 0, in their unit, e.g. 180."""
+    """Value of the angle columns at softfin's angle 0, in their unit, e.g. 180."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Recorded axes that are softfin's +x (thrust, drives the robot forward) and +y."""
+    """Recorded axes along softfin's +x (thrust, which drives the robot forward) and +y."""
     negate: Annotated[tuple[Literal[SignedChannel, FurtherChannel], ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
@@ -63,18 +64,18 @@ class ImportConfig(Configuration):
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Delay of the force time stamps relative to the angle [ms]; softfin removes it."""
     rows_per_log: int | None = pydantic.Field(default=None, ge=2)
-    """Rows per log of files that contain several logs end to end; 20000 in the paper."""
+    """Number of rows per log in files that contain several logs end to end; 20000 in the paper."""
     test: str | None = None
     """Pattern for the names of test logs (default: names that start with test, and files in a
     folder named test)."""
-    # Five samples at 100 Hz: within 50 ms, the motion of a fin at 3 Hz is smooth.
+    # Five samples at 100 Hz; within 50 ms, the motion of a fin at 3 Hz is smooth.
     gap_s: float = pydantic.Field(default=0.05, gt=0)
     """Longest gap to interpolate [s]; a longer gap splits the log."""
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
     """Shortest piece to keep as a log [s]; the paper's networks need a window of 1 s."""
 
     ignore_errors: Annotated[tuple[str, ...], NAMES] = ()
-    """Errors that do not stop a fit or an import, by name, e.g. ``force-lag,stuck`` or ``all``."""
+    """Names of errors that do not stop a fit or an import, e.g. ``force-lag,stuck`` or ``all``."""
 
     @pydantic.field_validator(
         "columns", "topics", "angles", "negate", "ignore_errors", mode="before"
@@ -114,7 +115,7 @@ class ImportConfig(Configuration):
 
 
 def format_options(config: ImportConfig) -> str:
-    """Return the options that were changed, as they are typed in a shell."""
+    """Return the options that differ from the defaults, as typed in a shell."""
     words = []
     for field, value in config.model_dump(mode="json", exclude_defaults=True).items():
         if isinstance(value, dict):
@@ -128,7 +129,7 @@ def format_options(config: ImportConfig) -> str:
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:
-    """Return the +x and +y components of a force in a different frame."""
+    """Return the +x and +y components of a force in a frame."""
     source = {"x": x, "y": y, "-x": -x, "-y": -y}
     return [source[term] for term in frame.split(",")]
 

@@ -1,4 +1,4 @@
-"""Recognize the channel and the unit in a column name.
+"""Recognizes the channel and the unit in a column name.
 
 All file formats with named columns share these tables of words and units. Case and separators are
 ignored: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are equivalent.
@@ -21,18 +21,18 @@ FurtherChannel = Literal["force_z", "torque_x", "torque_y", "torque", "current"]
 Channel = Literal[LogChannel, FurtherChannel]
 
 CHANNELS: tuple[str, ...] = get_args(LogChannel)
-"""Channels of every log. A recording may lack the velocity; it may also lack the time and the
-commanded velocity if options set them."""
+"""Channels of every log. A recording may lack the velocity, and also the time and the commanded
+velocity if options set them."""
 
 FURTHER: dict[str, str] = dict(
     zip(get_args(FurtherChannel), (*LOAD_CHANNELS, CURRENT_CHANNEL), strict=True)
 )
-"""Names in a log of the channels that it may also contain."""
+"""Column names in log files of the additional channels."""
 
 OWN_NAMES = dict(zip(LOG_COLUMNS, CHANNELS, strict=True)) | {
     name: channel for channel, name in FURTHER.items()
 }
-"""Channels by softfin's own column names."""
+"""Channels, keyed by softfin's own column names."""
 
 KINDS: dict[str, str] = {
     channel: re.sub("command_|_[xyz]$", "", channel) for channel in (*CHANNELS, *FURTHER)
@@ -49,7 +49,7 @@ UNITS: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "deg": math.pi / 180,
         "turn": 2 * math.pi,
-        # Raw position of a Dynamixel of the X series; as a velocity, its raw velocity.
+        # Raw position of a Dynamixel X-series servo; for a velocity, its raw velocity.
         "dynamixel": 2 * math.pi / TICKS_PER_TURN,
     },
     "velocity": {
@@ -73,7 +73,7 @@ UNITS: dict[str, dict[str, float]] = {
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
     "current": {"A": 1.0, "mA": 1e-3},
 }
-"""Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
+"""Conversion factors to the SI unit, keyed by quantity and unit; the SI unit comes first."""
 
 SI = {kind: next(iter(units)) for kind, units in UNITS.items()}
 
@@ -92,7 +92,7 @@ SPELLINGS = {
     "mN": "mn millinewton millinewtons",
     "cN": "cn centinewton centinewtons",
     "kN": "kn kilonewton kilonewtons",
-    # A force in units of mass is the weight of that mass.
+    # A force in units of mass is the weight of the mass.
     "gf": "gf g gram grams gr gram/force grams/force",
     "kgf": "kgf kg kgs kilogram kilograms kilo kilos kp kilopond kilogram/force kilograms/force",
     "lbf": "lbf lb lbs pound pounds pound/force pounds/force",
@@ -104,8 +104,8 @@ SPELLINGS = {
     "A": "a amp amps ampere amperes",
     "mA": "ma milliamp milliamps milliampere milliamperes",
 }
-"""Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
-angle, a slash and those of a second."""
+"""Lowercase spellings of each unit. Spellings of velocity units are generated from a spelling of
+the angle, a slash and a spelling of the second."""
 
 COMMAND_WORDS = {
     "command",
@@ -123,8 +123,8 @@ COMMAND_WORDS = {
     "ref",
 }
 """Words that mark an angle or a velocity as commanded. Without an angle or velocity word, they mean
-the commanded angle, or the commanded velocity if the unit is one; "ref" and "reference" do not,
-because they could also mean the reference force."""
+the commanded angle, or the commanded velocity if the unit is a velocity unit. "ref" and "reference"
+are exceptions, because they could also mean the reference force."""
 
 PHRASES = {
     "time": ["time", "t", "timestamp", "stamp", "time stamp", "datetime", "date time"],
@@ -153,7 +153,7 @@ PHRASES = {
     "torque": ["torque", "torque z", "moment z", "tz", "mz"],
     "current": ["current"],
 }
-"""Names of each channel; their words may have any order. With one of `COMMAND_WORDS`, a name means
+"""Names of each channel; the words may be in any order. A name with one of `COMMAND_WORDS` means
 the commanded channel."""
 
 NEUTRAL_WORDS = {
@@ -187,7 +187,7 @@ NEUTRAL_WORDS = {
     "dynamixel",
     "dxl",
     "workbench",
-    # rostopic echo -p prefixes all names.
+    # rostopic echo -p adds this prefix to all names.
     "field",
     "utc",
     "local",
@@ -200,7 +200,7 @@ RAW_UNITS = "raw|counts?|ticks?|adc|lsb|m?v|volts?"
 """Units at the end of a name that have no fixed conversion."""
 
 ROSTOPIC_TIME = "%time"
-"""First column of ``rostopic echo -p``, in nanoseconds; the other times are in the message."""
+"""First column of ``rostopic echo -p``, in nanoseconds; other times are from the messages."""
 
 _PHRASES: dict[tuple[str, ...], str] = {}
 for _channel, _names in PHRASES.items():
@@ -223,11 +223,11 @@ def _spellings(kind: str) -> dict[str, str]:
 
 
 SPELLED = {kind: _spellings(kind) for kind in UNITS}
-"""Units by quantity and spelling (lower case)."""
+"""Units, keyed by quantity and lowercase spelling."""
 
 
 def read_name(name: str) -> tuple[str, str | None] | None:
-    """Return channel and unit (or None) of a column name; None unless every word is known."""
+    """Return the channel and the unit (or None) in a column name; None if a word is unknown."""
     for kind in UNITS:
         words, unit = split_unit(name, kind)
         commanded = COMMAND_WORDS.intersection(words)
@@ -239,7 +239,7 @@ def read_name(name: str) -> tuple[str, str | None] | None:
             and (kind == "angle" or (kind == "velocity" and unit))
         ):
             channel = kind
-        # A unit alone, such as "ms", means time; but "min" is more often a minimum.
+        # A time unit alone, such as "ms", means time; but "min" usually means minimum.
         if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
             channel = "time"
         if channel in ("angle", "velocity") and commanded:
@@ -252,11 +252,11 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
-    """Split a name into its words in lower case and the unit at its end (None without a unit)."""
+    """Split a name into lowercase words and the unit at its end (None if there is no unit)."""
     if name == ROSTOPIC_TIME:
         return ["time"], "ns"
-    # Drop "(t)", which only marks a function of time, and the exponent of "rad s^-1", because the
-    # unit words are joined by a slash below.
+    # Drop "(t)", which only marks a function of time, and the exponent in "rad s^-1", because unit
+    # words are joined by a slash below.
     plain = re.sub(r"\(t\)|^%|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
     # Words end at non-letters and before capitals (CmdAngle), but not within units such as mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
@@ -264,7 +264,7 @@ def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
     words = re.findall(rf"[^\W\d_]+|{UNIT_FACTOR}|[°%]|-(?=[\])}}>])", lower)
     for start in range(max(len(words) - 3, 0), len(words)):
         ending = [word for word in words[start:] if word != "per"]
-        # A single letter that is the entire name is not a unit: "s" or "N" could mean anything.
+        # A single letter is not a unit if it is the entire name: "s" or "N" could mean anything.
         if "/".join(ending) in SPELLED[kind] and (start > 0 or len(ending[0]) > 1):
             unit = SPELLED[kind]["/".join(ending)]
             factor = words[start - 1] if start else ""
@@ -284,7 +284,7 @@ def unit_factor(kind: str, unit: str) -> float:
 
 
 def split_unknown_unit(name: str, kind: str) -> tuple[str, str] | None:
-    """Split a name that ends in a unit that softfin does not know, if it does."""
+    """Split a name into the rest and an unknown unit at its end, if it has one."""
     ending = re.fullmatch(rf"(.*?)(?:[\[({{<](.*)[\])}}>]\s*|[\W_]({RAW_UNITS}))", name.lower())
     if ending is None or split_unit(name, kind)[1] is not None:
         return None

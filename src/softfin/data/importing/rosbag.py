@@ -1,9 +1,9 @@
-"""Read ROS bags without ROS, from the topics of command, joint and force, and of further channels
-if there are any.
+"""Reads ROS bags without ROS: the command, joint and force topics, and topics of additional
+channels.
 
 Times are the header stamps if the messages of a topic have them, otherwise the logging times.
-Messages that cannot be used are dropped and counted. A bag is refused if none of a topic is
-left.
+Unusable messages are dropped and counted. If a required topic has no usable messages, the bag is
+refused.
 """
 
 from collections import Counter, defaultdict
@@ -68,29 +68,28 @@ MAX_LISTED_TOPICS = 12
 """Maximum number of topics in an error message."""
 
 MAX_CLOCK_OFFSET_S = 1800.0
-"""Largest difference between the clocks of two topics [s]: less than between time zones. Clocks
-that start at 0 with the computer or a simulation are decades behind."""
+"""Maximum difference between the clocks of two topics [s]. Time zones differ by more than this, and
+clocks that start at 0 with the computer or a simulation are decades behind."""
 
 MAX_DISORDER_S = 1.0
-"""Largest step back of the stamps of messages that are only out of order [s]."""
+"""Maximum backward step of the time stamps that is treated as messages out of order [s]."""
 
 MIN_DISAGREEMENT_RAD = 0.05
-"""Smallest jump that shows a second publisher [rad]: more than a fin at 3 Hz deviates from a
-straight line in 10 ms."""
+"""Minimum jump that indicates a second publisher [rad]; in 10 ms, a fin at 3 Hz deviates less from
+a straight line."""
 
 MIN_DISAGREEMENTS = 10
-"""Smallest number of such jumps that shows a second publisher."""
+"""Minimum number of such jumps that indicates a second publisher."""
 
 OTHER_JOINTS = "of other joints"
 
 
 class UnusableError(Exception):
-    """A message without a reading; the text describes such messages."""
+    """Raised for a message without a reading; the text describes such messages."""
 
 
 class BagContents(NamedTuple):
-    """Types of the topics of a bag, and the messages of the topics that are read, sorted by time of
-    logging."""
+    """Topic types of a bag, and the messages of the selected topics, sorted by logging time."""
 
     types: dict[str, str]
     messages: defaultdict[str, list[BagMessage]]
@@ -101,7 +100,7 @@ Decoded = tuple[BagMessage, Any]
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError for a damaged bag, or a topic without usable messages."""
+    """Read one bag; raises LogError if it is damaged or a topic has no usable messages."""
     topics = DEFAULT_TOPICS | {"current": CURRENT} | config.topics
     contents = _read_contents(path, [topic.partition(":")[0] for topic in topics.values()])
     tracks = []
@@ -134,7 +133,7 @@ def _read_contents(path: Path, wanted: Collection[str]) -> BagContents:
 
 
 def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None:
-    """Raise LogError if the stamps of the topics are on different clocks."""
+    """Raise LogError if the topics are stamped by different clocks."""
     begin = max(float(track.time.min()) for track in tracks)
     end = min(float(track.time.max()) for track in tracks)
     if config.stamps == "header" and begin - end > MAX_CLOCK_OFFSET_S:
@@ -145,7 +144,8 @@ def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None
 
 
 def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
-    """Merge topics with identical stamps into one track, so that they need not be resampled."""
+    """Merge topics with identical time stamps into one track, so that they need not be
+    resampled."""
     first, *others = tracks
     merged: Channels = dict(first.channels)
     separate = []
@@ -160,10 +160,10 @@ def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
 
 
 def _channel_topics(contents: BagContents, config: ImportConfig) -> dict[str, str]:
-    """Return the topics of other channels: the current and those of softfin's own bags, if there
-    are any."""
+    """Return the topics of additional channels: the current and the topics of softfin's own bags,
+    if present."""
     topics = {}
-    # Every recording has a topic for the current, but not every drive measures it.
+    # Every softfin bag has a topic for the current, but not every drive measures it.
     if "current" in config.topics or contents.messages[CURRENT]:
         topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
     for topic, messages in contents.messages.items():
@@ -202,7 +202,7 @@ def _seconds(nanoseconds: list[int]) -> Float[np.ndarray, "rows"]:
 def _decoded(
     messages: list[BagMessage], kinds: Collection[str], dropped: Counter[str]
 ) -> list[Decoded]:
-    """Decode messages of the given types; count the other ones by reason."""
+    """Decode messages of the given types, and count all other messages by reason."""
     decoded = []
     for message in messages:
         encoding = ENCODINGS.get(message.encoding)
@@ -244,7 +244,7 @@ def _read_topic(
     # A value too large for a float32 log is treated as missing.
     values[np.abs(values) > np.finfo(np.float32).max] = np.nan
     time, issues = _times(usable, role, topic, config, name)
-    # Messages may be logged out of order; a larger step back is a restart of the clock.
+    # Messages may be logged out of order; a larger backward step is a restart of the clock.
     steps = np.diff(time[np.isfinite(time)])
     if steps.min(initial=0.0) > -MAX_DISORDER_S:
         order = np.argsort(time, kind="stable")
@@ -256,7 +256,7 @@ def _read_topic(
     is_stamped = np.isfinite(time)
     if role != "command":
         issues += _check_publishers(track.take(is_stamped), role, topic, name)
-    # Missing values of other channels cost no rows.
+    # Missing values in additional channels cost no rows.
     needed = np.array([channels[channel] for channel in channels.keys() & set(CHANNELS)])
     is_finite = np.isfinite(needed).all(axis=0)
     dropped["without a stamp"] = int((~is_stamped).sum())
@@ -286,8 +286,8 @@ def _reasons(dropped: Counter[str]) -> str:
 
 
 def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -> str:
-    """Return the joint to read, by default the only one with positions; raises LogError if there
-    are several, or no such one."""
+    """Return the joint to read, by default the only one with positions; raises LogError if it does
+    not exist or there are several."""
     joints: dict[str, None] = {}
     for message, content in decoded:
         if message.kind == JOINT_STATE:
@@ -310,7 +310,7 @@ def _chosen_joint(decoded: list[Decoded], joint: str, where: str, role: Topic) -
 def _times(
     decoded: list[Decoded], role: Topic, topic: str, config: ImportConfig, name: str
 ) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
-    """Return the times of messages [s]; NaN for a few without a stamp."""
+    """Return the times of messages [s]; NaN for a few messages without a time stamp."""
     logged = [message.logged_ns for message, _ in decoded]
     if config.stamps == "logging":
         return _seconds(logged), []
@@ -323,7 +323,7 @@ def _times(
         return _seconds(stamps), []
     if role != "command" and unstamped <= len(stamps) / 2:
         return np.where(np.array(stamps) == 0, np.nan, _seconds(stamps)), []
-    # A command is valid until the next one, so none may be dropped.
+    # A command is valid until the next one, so no command may be dropped.
     text = (
         f"{topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging times are "
         "used"
@@ -340,10 +340,10 @@ def _topic_channels(
     where: str,
     name: str,
 ) -> tuple[Channels, list[Issue]]:
-    """Convert values to channels, without those that were not measured."""
+    """Convert values to channels, without unmeasured channels."""
     channels = converted(dict(zip(TOPIC_CHANNELS[role], values.T, strict=True)), config)
     if role == "wrench":
-        # A sensor that does not measure a load reports it as zero.
+        # Sensors report zero for loads that they do not measure.
         channels = {
             channel: load for channel, load in channels.items() if channel in CHANNELS or load.any()
         }
@@ -393,11 +393,11 @@ def find_disagreements(
     least: float,
     most: float,
 ) -> Int[np.ndarray, "_"]:
-    """Return the rows of a channel that are from another publisher than their neighbours.
+    """Return the rows of a channel that are from a different publisher than their neighbours.
 
-    Such a value differs from the ones before and after it, which are close to each other, by
-    `least` to `most`. So does a single fault of a sensor, but there the clock is as regular as
-    elsewhere, and its neighbours are not faults.
+    Such a value differs by `least` to `most` from the values before and after it, which are close
+    to each other. A single sensor fault looks similar, but its time stamp is regular, and its
+    neighbours are valid.
     """
     to_next = np.diff(values)[1:]
     from_previous = np.diff(values)[:-1]
@@ -416,7 +416,7 @@ def find_disagreements(
 def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: Path) -> LogError:
     topics = [f"{other} ({kind})" for other, kind in sorted(types.items())]
     listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
-    # A topic with one number is rarely a command.
+    # A topic with a single number is rarely a command.
     likely = set(READABLE_TYPES[role]) - {FLOAT}
     fitting = [other for other, kind in types.items() if kind in likely]
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
@@ -430,7 +430,7 @@ def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: P
 
 
 def _read_zeros(contents: BagContents) -> list[tuple[float, RestForce]]:
-    """Return the time [s] and value [N] of each rest force that softfin measured during the
+    """Return the time [s] and value [N] of each rest force measured by softfin during the
     recording."""
     zeros = []
     for message, content in _decoded(contents.messages[EVENTS], (STRING,), Counter()):
@@ -443,8 +443,8 @@ def _read_zeros(contents: BagContents) -> list[tuple[float, RestForce]]:
 def _less_zero(
     force: Track, zeros: list[tuple[float, RestForce]], config: ImportConfig, name: str
 ) -> tuple[Track, list[Issue]]:
-    """Subtract the measured rest forces: a bag contains the raw force, while the session's
-    controller and logs had them subtracted."""
+    """Subtract the measured rest forces: a bag contains the raw force, whereas the controller and
+    the logs of the session use the force after subtraction."""
     if not zeros:
         return force, []
     x, y = zeros_at(zeros, force.time).T
@@ -460,8 +460,8 @@ def _less_zero(
 
 
 def _values(kind: str, message: Any, joint: str) -> tuple[float, ...]:
-    """Return (angle, velocity), or the force and torque in a message; raises UnusableError if it
-    has none. A missing velocity is NaN."""
+    """Return (angle, velocity), or the force and torque, in a message; raises UnusableError if
+    there are none. A missing velocity is NaN."""
     if kind in (ARRAY, FLOAT):
         numbers = np.atleast_1d(message.data).tolist()
         if len(numbers) not in (1, 2):

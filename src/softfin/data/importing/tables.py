@@ -1,4 +1,4 @@
-"""Read CSV and Parquet tables with arbitrary column names as recordings."""
+"""Reads CSV and Parquet tables with arbitrary column names as recordings."""
 
 import itertools
 from pathlib import Path
@@ -26,13 +26,13 @@ from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
 
 TIME_OF_DAY = r"(?:(?P<hours>\d+):)?(?P<minutes>\d{2}):(?P<seconds>\d{2}(?:[.,:]\d+)?)"
-"""Time of day, with or without a date or hours."""
+"""Time of day, with or without a date and with or without hours."""
 
 HALF_DAY_S = 43_200.0
 
 MAX_MISSING_SHARE = 0.1
-"""Share of missing values above which a table has been merged from several sources, each with its
-own rows."""
+"""Share of missing values above which a table is treated as merged from several sources, each with
+its own rows."""
 
 
 MISSING_TEXTS = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
@@ -43,7 +43,7 @@ GROUPED = r"^[-+]?[1-9]\d{0,2}(?:[.,]\d{3})+$"
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    """Read the logs in one file; raises LogError if it is not such a table or if a channel is
+    """Read the logs in one file; raises LogError if the file is not such a table or a channel is
     missing."""
     is_text = path.suffix.lower() in CSV
     table = read_text_table(path, name) if is_text else _read_parquet(path)
@@ -56,7 +56,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         except LogError:
             if channel in CHANNELS:
                 raise
-            # A column of text with the name of a further channel is some other thing.
+            # A text column with the name of an additional channel has a different meaning.
             del found[channel]
         if channel in ANGLES:
             numbers[channel], found_unsigned = _signed(numbers[channel], channel, name)
@@ -77,7 +77,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
 
 
 def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> list[Recording]:
-    """Split a recording into its logs, and each log into the tracks of its sources."""
+    """Split a recording into logs, and each log into one track per source."""
     name, _, (whole,), issues, _ = recording
     rows = len(whole.time)
     edges = {*table.starts, *range(0, rows, config.rows_per_log or rows), rows}
@@ -87,14 +87,14 @@ def _split_rows(recording: Recording, table: Table, config: ImportConfig) -> lis
         tracks, merged = _tracks(whole.take(slice(start, end)), piece)
         found = (*issues, *merged)
         recordings.append(recording._replace(name=piece, tracks=tracks, issues=found))
-        # The notes describe the file, so only its first piece has them.
+        # The notes describe the file, so only the first piece has them.
         issues = ()
     return recordings
 
 
 def _tracks(table: Track, name: str) -> tuple[tuple[Track, ...], list[Issue]]:
-    """Group the channels of a table by the rows in which they have values: a table that was merged
-    from several sources has rows with the values of one source only."""
+    """Group the channels of a table by the rows in which they have values; in a table merged from
+    several sources, each row has values of one source only."""
     groups: dict[bytes, Channels] = {}
     fewest = len(table.time)
     for channel, values in table.channels.items():
@@ -139,7 +139,8 @@ def _is_numeric(kind: pa.DataType) -> bool:
 def _read_column(
     table: Table, channel: str, column: Column, path: Path
 ) -> tuple[Float[np.ndarray, "rows"], Column]:
-    """Return the numbers in a column, and the column with the unit of its type, if it has one."""
+    """Return the numbers in a column, and the column with the unit of its data type, if there is
+    one."""
     if table.names.count(column.name) > 1:
         raise LogError(f"{path}: duplicate column {column.name!r}; rename one of them")
     values = table.columns[table.names.index(column.name)]
@@ -171,7 +172,7 @@ def _read_column(
 
 
 def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], source: str) -> None:
-    """Raise LogError if many cells are neither numbers nor missing, or if their commas may separate
+    """Raise LogError if many cells are neither numbers nor missing, or if commas may separate
     thousands."""
     is_text = pc.or_(
         pc.match_substring_regex(values, MISSING_TEXTS),
@@ -204,13 +205,13 @@ def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
 
 
 def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
-    """Parse times of day as seconds that continue at midnight and noon."""
+    """Parse times of day as seconds that continue past midnight and noon."""
     column = pc.replace_substring_regex(column, r"T(\d{2})(\d{2})(\d{2})", r"T\1:\2:\3")
     parts = pc.extract_regex(column, TIME_OF_DAY).flatten()
     hours, minutes, seconds = [_parse(pc.replace_substring(part, ":", ".")) for part in parts]
     times = np.asarray(3600 * np.nan_to_num(hours) + 60 * minutes + seconds)
-    # The date is not needed: where it changes, the time goes back by 24 hours, or by 12 with AM
-    # and PM. Without hours, it goes back by one.
+    # The date is not needed: when it changes, the time goes back by 24 hours, or by 12 with AM and
+    # PM. Without hours, the time goes back by one hour at every full hour.
     period = HALF_DAY_S if np.isfinite(hours).any() else 3600
     is_valid = np.isfinite(times)
     times[is_valid] = np.unwrap(times[is_valid], period=period)
@@ -220,7 +221,7 @@ def _parse_clock(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
 def _signed(
     values: Float[np.ndarray, "rows"], channel: str, name: str
 ) -> tuple[Float[np.ndarray, "rows"], list[Issue]]:
-    """Return integers that a drive recorded without their sign, such as -1 as 65535, with it."""
+    """Restore the sign of integers that a drive recorded as unsigned, such as -1 as 65535."""
     finite = values[np.isfinite(values)]
     largest = finite.max(initial=0)
     full = 2.0**16 if largest < 2**16 else 2.0**32
@@ -233,10 +234,10 @@ def _signed(
 
 
 def _own_channels(table: Table, found: dict[str, Column]) -> list[str]:
-    """Return the other numeric columns of softfin's own log."""
+    """Return the other numeric columns of a log written by softfin."""
     if not set(LOG_COLUMNS) <= set(table.names):
         return []
-    # A column with a name of softfin's own that was not found is not meant to be read.
+    # If a column has one of softfin's own names but was not chosen, it is not meant to be read.
     settled = {*(column.name for column in found.values()), *OWN_NAMES, *CHANNELS}
     own = []
     for name, column in zip(table.names, table.columns, strict=True):
@@ -252,8 +253,8 @@ def _notes(
     own: list[str],
     config: ImportConfig,
 ) -> list[Issue]:
-    """Note which columns and units were used, unless the names are softfin's own, and which options
-    and columns were not used."""
+    """Return notes on the columns and units that were used, unless the names are softfin's own, and
+    on unused options and columns."""
     texts = []
     fix = ""
     if described := describe_columns(found):
@@ -275,7 +276,7 @@ def _notes(
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
     if not found["force_x"].is_unit_stated:
-        # The size of a force says nothing about its unit, because fins differ in size.
+        # The unit of a force cannot be inferred from its size, because fins differ in size.
         text = f"column {found['force_x'].name!r} does not state its unit: N is assumed"
         fix = f"state the unit: --force-unit {' or '.join(UNITS['force'])}"
         notes.append(Issue("warning", "force unit", name, text, fix, "force_x"))
@@ -287,6 +288,6 @@ def _notes(
 
 
 def derived_velocity(name: str) -> Issue:
-    """Return the note that a recording has no velocity."""
+    """Return a note that the velocity of a recording was computed from the angle."""
     text = "no velocity column: the velocity is the central difference of the angle"
     return Issue("note", "velocity derived", name, text, column="velocity")

@@ -1,7 +1,8 @@
-"""Read the columns of a text file as text: finds its encoding, header, units and delimiter.
+"""Reads the columns of a text file as text, after finding its encoding, header, units and
+delimiter.
 
-Lines above the header are ignored. Lines below it with another number of cells are dropped and
-counted.
+Lines above the header are ignored. Lines below the header with a different number of cells are
+dropped and counted.
 """
 
 import csv
@@ -24,7 +25,7 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 DECIMAL = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 
 HEAD_BYTES = 100_000
-"""Size of the beginning of a file in which the header is looked for."""
+"""Number of bytes at the start of a file that are searched for the header."""
 
 MIN_COLUMNS = 4
 """Minimum width of a header: a log without times has command, angle and force (x, y)."""
@@ -36,23 +37,23 @@ UNICODE_ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "
 
 
 class Table(NamedTuple):
-    """Columns as read from a file, before any conversion."""
+    """Columns read from a file, before any conversion."""
 
     names: list[str]
     columns: list[pa.ChunkedArray]
     starts: list[int]
-    """First row of each log: 0, and the rows below each repeated header."""
+    """First row of each log: 0 and the row below each repeated header."""
     issues: list[Issue]
 
 
 class _Layout(NamedTuple):
-    """Form of a text file."""
+    """Layout of a text file."""
 
     delimiter: str
     header: list[str]
     """Cells of the header."""
     units: list[str]
-    """Cells of the line with the units; empty if there is none."""
+    """Cells of the line with the units; empty if there is no such line."""
     num_above: int
     """Number of lines above the first row."""
     num_numbers: int
@@ -65,7 +66,7 @@ def read_text_table(path: Path, name: str) -> Table:
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check the file") from None
-    # A power cut leaves NUL bytes in place of the last lines.
+    # After a power cut, the last lines may be NUL bytes.
     text = re.sub("\0+", "\nNUL bytes\n", _decode(data))
     layout = _find_layout(text, path)
     body = re.sub(rf"(?:.*\n){{{layout.num_above}}}", "", re.sub("\r\n?", "\n", text), count=1)
@@ -90,7 +91,7 @@ def read_text_table(path: Path, name: str) -> Table:
     is_row = pc.invert(is_header)
     if layout.units:
         is_row = pc.and_(is_row, pc.invert(_equals(columns, layout.units)))
-    # The headers and units above a row are removed.
+    # Remove the headers and units above a row.
     rows_above = np.cumsum(is_row.to_numpy())
     starts = [0, *rows_above[np.asarray(is_header)].tolist()]
     names = [layout.header[0].lstrip("#; "), *layout.header[1:]]
@@ -102,13 +103,13 @@ def read_text_table(path: Path, name: str) -> Table:
 
 
 def _equals(columns: list[pa.ChunkedArray], cells: list[str]) -> pa.ChunkedArray:
-    """Return whether the first cells of each row are these."""
+    """Return whether the first cells of each row are equal to the given cells."""
     return pc.and_(*map(pc.equal, columns, [cell.strip() for cell in cells[:2]]))
 
 
 def _decode(data: bytes) -> str:
     data = re.sub(rb"^\0{4,}", b"", data)
-    # Digits and delimiters have NUL bytes at the same places of each character.
+    # The NUL bytes of digits and delimiters are at the same position within each character.
     is_nul = np.frombuffer(data[:4000], np.uint8) == 0
     places = "".join(
         str(place) for place in range(4) if 3 * is_nul[place::4].sum() > len(is_nul) / 4
@@ -121,7 +122,8 @@ def _decode(data: bytes) -> str:
 
 
 def _is_cut(body: str) -> bool:
-    """Whether the last line ends within a number: with fewer digits than those above, all alike."""
+    """Return whether the last line ends within a number: it has fewer digits than the lines above,
+    which all have the same number."""
     lines = body[-1000:].split("\n")[-9:]
     *above, last = [len(re.split("[.,]", line)[-1]) for line in lines]
     return 0 < last < min(above, default=0) == max(above, default=0)
@@ -147,7 +149,8 @@ def _find_layout(text: str, path: Path) -> _Layout:
 
 
 def _layout(lines: list[str], delimiter: str) -> _Layout | None:
-    """Return the layout with a delimiter: a header above the first row of numbers, as wide."""
+    """Return the layout for a delimiter: a header above the first row of numbers, with the same
+    number of cells."""
     above: list[list[str]] = []
     num_above = 0
     for index, line in enumerate(lines):
@@ -185,7 +188,8 @@ def _is_number(cell: str) -> bool:
 
 
 def _name_score(cells: list[str]) -> int:
-    """Return how many cells are names of channels, minus those that are units."""
+    """Return the number of cells that are channel names, minus the number of cells that are
+    units."""
     num_names = sum(cell in OWN_NAMES or read_name(cell) is not None for cell in cells)
     return num_names - sum(map(_is_unit, cells))
 
@@ -198,7 +202,7 @@ def _is_unit(cell: str) -> bool:
 def _read_columns(
     body: str, layout: _Layout, path: Path
 ) -> tuple[list[pa.ChunkedArray], list[tuple[int, str]]]:
-    """Return the columns, and row and text of each line that was dropped."""
+    """Return the columns, and the row and text of each dropped line."""
     dropped = []
 
     def drop(row: pyarrow.csv.InvalidRow) -> str:

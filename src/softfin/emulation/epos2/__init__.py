@@ -1,1 +1,1 @@
-"""An emulated EPOS2: its object dictionary, its states and motion, and its place on a CAN bus."""
+"""An emulated EPOS2: object dictionary, states, motion and CAN communication."""

@@ -1,5 +1,5 @@
-"""An emulated EPOS2 on any python-can bus, which uses a real one's protocol and drives an emulated
-fin.
+"""An emulated EPOS2 on any python-can bus. It uses the protocol of a real drive and moves an
+emulated fin.
 
 It was written from the same documents as our driver, so it shares any misreading of them. canopen's
 LocalNode serves its objects. Methods such as `fault`, `go_silent` and `reboot` let tests provoke
@@ -77,8 +77,7 @@ class DriveTraits(NamedTuple):
     read_only: frozenset[Object] = frozenset()
     """Objects that cannot be written, in addition to those that are read-only by definition."""
     ignores_heartbeat: bool = False
-    """Whether the motor keeps running when the host's heartbeats end, regardless of the
-    settings."""
+    """Whether the motor keeps running when the host heartbeats end, regardless of the settings."""
     needs_reset_of_communication: bool = False
     """Whether a communication fault can be reset only after an NMT reset communication, as in an
     EPOS4."""
@@ -146,7 +145,8 @@ class EmulatedDrive:
             bus.shutdown()
 
     def address(self) -> JsonObject:
-        """Return nothing: the drive is on the rig's bus, under the number in its configuration."""
+        """Return an empty address, because the drive is on the bus of the rig, under the number in
+        its configuration."""
         return {}
 
     def remembered(self) -> JsonObject:
@@ -175,7 +175,7 @@ class EmulatedDrive:
             self._emergency(code)
 
     def send_error_frame(self, classes: int, controller: int = 0) -> None:
-        """Make the host's adapter report an error in a SocketCAN error frame."""
+        """Make the host adapter report an error in a SocketCAN error frame."""
         data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
         frame = can.Message(
             arbitration_id=classes, data=data, is_extended_id=False, is_error_frame=True
@@ -192,7 +192,7 @@ class EmulatedDrive:
         self._network.silent = True
 
     def reboot(self) -> None:
-        """Restart as after a brief power loss: the zero is lost."""
+        """Restart as after a brief power loss, which erases the zero."""
         with self._lock:
             self.state = State.START
             self.motor.power_up()
@@ -280,7 +280,7 @@ class EmulatedDrive:
                     self._lose_host()
 
     def _lose_host(self) -> None:
-        """React to the loss of the host's heartbeats according to 0x6007 and 0x1029 (CiA 402 and
+        """React to the loss of the host heartbeats according to 0x6007 and 0x1029 (CiA 402 and
         301)."""
         if self._traits.ignores_heartbeat or self._option(protocol.LOSS_REACTION, 1) == 0:
             return

@@ -15,7 +15,7 @@ NEW_TARGET_BIT = 1 << 4
 RELATIVE_BIT = 1 << 6
 """Controlword bits."""
 POSITION_LIMIT = 0xFF09
-"""Emergency code: the target is outside the drive's limits."""
+"""Emergency code: the target is outside the limits of the drive."""
 
 BY_ITSELF = {
     State.START: State.NOT_READY,
@@ -24,7 +24,7 @@ BY_ITSELF = {
     State.MEASURE_INIT: State.OPERATION_ENABLED,
     State.FAULT_REACTION_DISABLED: State.FAULT,
 }
-"""Successors of states that a drive leaves by itself, one step later."""
+"""Successors of states that a drive leaves by itself after one step."""
 
 
 def next_state(state: State, word: int, before: int) -> State:
@@ -77,8 +77,8 @@ class EmulatedMotor:
         """Power up, without a zero."""
         self.mode = protocol.PROFILE_POSITION
         self.referenced = False
-        # An incremental encoder starts counting at the position of power-up; [counts] from the
-        # fin's own zero.
+        # An incremental encoder starts counting at the power-up position; [counts] from the true
+        # zero of the fin.
         self.zero = self._units.counts(self._fin.now().angle)
         self.release()
 

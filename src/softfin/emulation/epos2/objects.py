@@ -141,7 +141,7 @@ class ProcessData:
         for index, sub, size in entries:
             parts.append((index, sub, rest[:size]))
             rest = rest[size:]
-        # A frame applies as a unit, so write its controlword after the values that it acts on.
+        # A frame is applied as a unit, so write the controlword after the values that it uses.
         for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
             self._node.set_data(*part)
 

@@ -1,5 +1,5 @@
-"""The known types of drives and force sensors: softfin's own, and those of other installed packages
-through the entry point group `softfin.devices`."""
+"""The known types of drives and force sensors: softfin's own types, and types from other installed
+packages through the entry point group `softfin.devices`."""
 
 from collections.abc import Mapping
 from typing import Any, TypeVar
@@ -27,8 +27,8 @@ Kind = TypeVar("Kind", DriveType[Any], ForceSensorType[Any])
 def choose_config(
     kind: type[Kind], default: str, values: Mapping[str, object]
 ) -> type[Configuration]:
-    """Return the class of a device's configuration in a rig file, in which the type may be left
-    out; raises ValueError."""
+    """Return the configuration class for a device in a rig file, in which the type may be omitted;
+    raises ValueError if the type is unknown."""
     try:
         found: DriveType[Any] | ForceSensorType[Any] = find_device(
             kind, str(values.get("type", default))
@@ -39,7 +39,7 @@ def choose_config(
 
 
 def find_device(kind: type[Kind], name: str) -> Kind:
-    """Return a type of drive or of force sensor; raises RigError if it is unknown or cannot be
+    """Return a type of drive or force sensor; raises RigError if it is unknown or cannot be
     imported."""
     devices = list_plugins(GROUP, DEVICES)
     what = "drive" if kind is DriveType else "force sensor"
@@ -52,7 +52,7 @@ def find_device(kind: type[Kind], name: str) -> Kind:
     try:
         device = found.load()
     except Exception as error:
-        # The package of a device may raise anything.
+        # The package of a device may raise any exception.
         raise RigError(
             f"type {name!r}: {found.value} cannot be imported ({one_line(error)}); reinstall the "
             "package of the device"

@@ -1,2 +1,2 @@
-"""Live monitor of a recording: follows its file, on this computer or another, without writing to
-it."""
+"""Live monitor of a recording, which follows the file on this or a different computer without
+writing to it."""

@@ -1,4 +1,4 @@
-"""Follow a growing bag: each byte is read once, only the latest messages of each topic are kept,
+"""Follows a growing bag. Each byte is read once, only the latest messages of each topic are kept,
 and damage is reported in one line.
 
 The file is opened read-only and closed after each poll, so the recorder is not disturbed.
@@ -30,22 +30,23 @@ from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 4 * 2**20
-"""Maximum number of bytes read per poll, so that reading an old recording shows progress."""
+"""Maximum number of bytes read per poll, so that progress is visible while an old recording is
+read."""
 
 KEPT_ROWS = 2500
 """Number of messages kept per topic: 25 s at 100 Hz."""
 
 SHOWN_EVENTS = 8
 MAX_CHARACTERS = 300
-"""Maximum number of characters of an event or a path that are shown."""
+"""Maximum number of displayed characters of an event or a path."""
 
 SILENT_RECORDING_S = 3.0
-"""Time without a new row after which a recording counts as silent [s]; a recorder writes twice per
-second."""
+"""Time without a new row after which a recording is treated as silent [s]; a recorder writes twice
+per second."""
 
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
-"""Patterns for a folder of bags, of bag folders, or of runs containing them; no deeper, so that the
-monitor does not search entire disks."""
+"""Patterns for a folder of bags, of bag folders, or of runs that contain bag folders; not deeper,
+so that the monitor does not search entire disks."""
 
 ROLES = {
     "joint": messages.JOINT,
@@ -55,14 +56,14 @@ ROLES = {
     "current": messages.CURRENT,
     "event": messages.EVENTS,
 }
-"""Topic for each role on the page."""
+"""Topic of each role on the page."""
 
 Row: TypeAlias = tuple[Any, ...]
-"""Time since the recording's first message [s], and the values of a message."""
+"""Time since the first message of the recording [s], and the values of a message."""
 
 
 class Trace:
-    """The latest messages of one topic, which are decoded only when they are shown."""
+    """The latest messages of one topic, which are decoded only when displayed."""
 
     def __init__(self, topic: str) -> None:
         self._type = TYPES[topic]
@@ -70,11 +71,11 @@ class Trace:
         self.missing = 0
         """Number of rows missing at 100 Hz."""
         self.time_s = 0.0
-        """Time of the latest message since the recording's first one [s]."""
+        """Time from the first message of the recording to the latest message [s]."""
         self._kept: deque[tuple[int, float, bytes]] = deque(maxlen=KEPT_ROWS)
 
     def add(self, serial: int, time_s: float, data: bytes) -> None:
-        """Keep a message, which has a serial number among all messages."""
+        """Keep a message; serial numbers count the messages of all topics."""
         if self.count:
             self.missing += max(round((time_s - self.time_s) / TICK_S) - 1, 0)
         self.count += 1
@@ -82,8 +83,9 @@ class Trace:
         self._kept.append((serial, time_s, data))
 
     def rows(self, since: int) -> list[Row]:
-        """Return the messages after a serial number, without unreadable ones: time, then angle and
-        velocity, force (x, y) and torque about the shaft, a single number, or text."""
+        """Return the readable messages after a serial number. Each row contains the time, followed
+        by angle and velocity, force (x, y) and torque about the shaft, a single number, or a
+        text."""
         rows = []
         for serial, time_s, data in self._kept:
             # The generated decoder may raise any exception for damaged bytes.
@@ -162,8 +164,8 @@ class Follower:
         }
 
     def rows(self, since: int) -> dict[str, list[list[float | None]]]:
-        """Return time and values of the messages after a serial number by role; forces are relative
-        to the recorded zero, and invalid numbers None."""
+        """Return the time and values of the messages after a serial number by role. Forces are
+        relative to the recorded zero; invalid numbers become None."""
         parsed = [(time_s, parse_zero(text)) for time_s, text in self.traces["event"].rows(0)]
         zeros = [(time_s, zero) for time_s, zero in parsed if zero is not None]
         result = {}
@@ -175,7 +177,8 @@ class Follower:
         return result
 
     def _choose(self) -> None:
-        """In a folder, switch to the most recently written bag unless the present one grows."""
+        """In a folder, switch to the most recently written bag unless the current bag is
+        growing."""
         now = time.monotonic()
         if not self._path.is_dir() or now - self._looked_at < 1.0 or self._state() == "recording":
             return
@@ -189,7 +192,7 @@ class Follower:
     def _read(self, file: io.BufferedIOBase) -> None:
         size = os.fstat(file.fileno()).st_size
         if size < self._offset:
-            # Another file with the same name, e.g. after a repair.
+            # The file was replaced by one with the same name, e.g. after a repair.
             self._restart()
         if self._offset == 0:
             magic = file.read(len(MAGIC))

@@ -1,8 +1,8 @@
-"""View of a recording as a web page on this computer. Read-only: no request changes or opens
+"""A web page on this computer that shows a recording. It is read-only: no request changes or opens
 anything.
 
-The only two addresses, `/` and `/data?since=N`, are generated in memory. Request paths are never
-looked up on disk.
+The only two paths, `/` and `/data?since=N`, are generated in memory. Request paths are never looked
+up on disk.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ def monitor(recording: Annotated[PathLike, RECORDING], *, port: int = 8080) -> N
         recording: Bag (.mcap) to watch, or a folder of bags (the newest is watched).
         port: Port of the page on this computer; 0 for any free port.
     """
-    # Ending a page is not a failure: exit code 0.
+    # Ending the page is not a failure, so the exit code is 0.
     with (
         contextlib.suppress(KeyboardInterrupt),
         Server(Follower(Path(recording)), port) as server,
@@ -53,7 +53,7 @@ def monitor(recording: Annotated[PathLike, RECORDING], *, port: int = 8080) -> N
 
 class Server(socketserver.ThreadingTCPServer):
     """Server for a recording, which is read only while a page requests data; raises
-    ConfigurationError if it cannot listen."""
+    ConfigurationError if the server cannot listen."""
 
     allow_reuse_address = daemon_threads = True
     request_queue_size = 128
@@ -63,7 +63,7 @@ class Server(socketserver.ThreadingTCPServer):
     def __init__(self, follower: Follower, port: int) -> None:
         self._follower = follower
         self._reading = threading.Lock()
-        """Held by the request that is reading the recording."""
+        """Lock held by the request that is reading the recording."""
         page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html")
         self.page = with_canvas(page.read_text("utf-8")).encode()
         try:
@@ -97,19 +97,19 @@ class Server(socketserver.ThreadingTCPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler for one request; accepts only the page and its data."""
+    """Handler for one request; serves only the page and its data."""
 
     server: Server
     server_version = "softfin"
     sys_version = ""
     timeout = 3.0
-    """Longest pause of a client during its request or the response [s]."""
+    """Maximum pause of a client during a request or response [s]."""
 
     def do_GET(self) -> None:
         """Return the page or the data."""
         if self.headers.get("Host", "").split(":")[0] not in (LOOPBACK, "localhost"):
-            # DNS rebinding: otherwise any web page could read ours through a host name that
-            # resolves to this computer.
+            # Prevent DNS rebinding: otherwise, any web page could read this page through a host
+            # name that resolves to this computer.
             self.send_error(HTTPStatus.FORBIDDEN, "unknown host name")
         elif self.path == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")

@@ -1,6 +1,6 @@
-"""Stop a fin behind ROS 2 topics: send braking messages repeatedly until the fin is at rest.
+"""Stops a fin behind ROS 2 topics by sending braking messages until the fin is at rest.
 
-Each kind of message and the reading of the fin have their own threads. If one of them hangs in the
+A separate thread sends each kind of message, and one thread reads the fin. If a thread hangs in the
 transport, the stop still returns in time, and the other messages are sent.
 """
 
@@ -11,21 +11,21 @@ from collections.abc import Callable, Sequence
 from softfin.core.clock import Clock
 
 STOP_S = 0.5
-"""Longest wait for the fin to come to rest [s]; a fin that keeps moving is reported."""
+"""Maximum wait for the fin to come to rest [s]; a fin that keeps moving is reported."""
 
 REPEAT_S = 0.02
-"""Time between messages of the same kind [s]; a driver that misses one receives the next within two
-ticks."""
+"""Time between messages of the same kind [s]; a driver that misses a message receives the next one
+within two ticks."""
 
 LOOK_S = 0.005
 """Time between readings of the fin [s]."""
 
 REST_S = 0.1
-"""Time for which a fin must not turn to count as at rest [s]; ten readings at 100 Hz."""
+"""Time without rotation after which a fin is treated as at rest [s]: ten readings at 100 Hz."""
 
 REST_RAD = 0.01
-"""Angle by which a fin at rest may move in this time [rad]; corresponds to 0.1 rad/s and exceeds
-encoder noise."""
+"""Angle by which a fin at rest may move during this time [rad]; it corresponds to 0.1 rad/s and
+exceeds encoder noise."""
 
 
 def brake(
@@ -34,14 +34,14 @@ def brake(
     """Send messages until the fin is at rest, for at most `STOP_S`; return whether it is at rest.
 
     Each function in `sends` sends one message. `look` returns the time [s] and angle [rad] of the
-    latest reading. All of them may raise or hang.
+    latest reading. All these functions may raise errors or hang.
     """
     is_over = clock.event()
     at_rest = clock.event()
 
     def repeat(send: Callable[[], None]) -> None:
         while not is_over.is_set():
-            # A send that fails may succeed next time.
+            # If sending fails, it may succeed the next time.
             with contextlib.suppress(Exception):
                 send()
             is_over.wait(REPEAT_S)

@@ -36,10 +36,10 @@ LimitsField = Annotated[
 
 
 class TransportConfig(Configuration):
-    """How to reach other nodes."""
+    """Connection to other nodes."""
 
     transport: TransportName = "auto"
-    """rclpy needs ROS 2, dds does not; auto: rclpy if it is installed."""
+    """rclpy needs ROS 2, but dds does not; auto: rclpy if it is installed."""
     # RTPS uses the UDP ports from 7400 + 250 * domain, so 232 is the largest domain.
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain (default: the environment variable ROS_DOMAIN_ID, or 0)."""
@@ -49,8 +49,8 @@ class TransportConfig(Configuration):
     """Node name, used with rclpy."""
 
     def domain_id(self) -> int:
-        """Return the configured domain, or that of the environment; raises RigError if the latter
-        is invalid."""
+        """Return the configured domain, or the domain in the environment; raises RigError if the
+        latter is invalid."""
         if self.domain is not None:
             return self.domain
         text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
@@ -86,15 +86,15 @@ class NodeConfig(Configuration):
     at which the fin may still beat; stop: stop the fin."""
     reference_limit_n: PositiveFloat | None = None
     """Maximum reference on either axis [N]; larger ones are rejected. None: 20 N for a fin like the
-    paper's, in proportion to the size of other fins, and never less than the controller's range."""
+    paper's, in proportion to the size of other fins, and at least the range of the controller."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
-    """How to reach other nodes."""
+    """Connection to other nodes."""
 
     @classmethod
     def of_fin(cls, name: str) -> "NodeConfig":
-        """Return the defaults for one fin of a robot: topics under the fin's name, and a stop if
-        the robot's node is lost."""
+        """Return the defaults for one fin of a robot: topics under the name of the fin, and a stop
+        if the robot node is lost."""
         if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
             raise ConfigurationError(
                 f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, e.g. "
@@ -114,7 +114,7 @@ class NodeConfig(Configuration):
 
 
 def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
-    """Return the topics of a fin's node, by field name of NodeConfig."""
+    """Return the topics of the node of a fin, keyed by NodeConfig field name."""
     return {
         "joint_topic": f"{prefix}/{name}/joint_states",
         "wrench_topic": f"{prefix}/{name}/wrench",
@@ -137,13 +137,13 @@ class FlipperConfig(Configuration):
     type: MessageType
     """Message type, as package/msg/Type."""
     definitions: dict[MessageType, str] = Field(default_factory=dict)
-    """Text of the .msg file for each type that is not part of ROS 2, by package/msg/Type."""
+    """Text of the .msg file of each type that is not part of ROS 2, keyed by package/msg/Type."""
     zero_direction: str = "zero_direction"
     """Field for the angle [rad]."""
     amplitude: str = "amplitude"
-    """Field set to 0, so that the flipper does not oscillate by itself."""
+    """Field set to 0 so that the flipper does not oscillate by itself."""
     constants: dict[str, float | bool | str] = Field(default_factory=dict)
-    """Values of other fields that must not be 0 or empty, e.g. a frequency or the flipper's
+    """Values of other fields that must not be 0 or empty, e.g. a frequency or the flipper
     number."""
     rate_hz: float = Field(default=20.0, gt=0, le=100)
     """Message rate [Hz]."""
@@ -153,18 +153,18 @@ class Ros2PlantConfig(Configuration):
     """Topics of the fin; fields that depend on the robot have no default."""
 
     joint_topic: TopicName
-    """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
+    """sensor_msgs/JointState with the shaft angle, at 100 Hz or more."""
     joint_name: str = Field(min_length=1)
-    """Name of the fin's joint in the messages."""
+    """Name of the fin joint in the messages."""
     wrench_topic: TopicName
-    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, with anti-alias
-    filtering for 100 Hz in its driver."""
+    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more; the driver must apply
+    an anti-alias filter for 100 Hz."""
     frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
     """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``."""
     command_topic: TopicName
-    """sensor_msgs/JointState with position and velocity, or the flipper's message."""
+    """sensor_msgs/JointState with position and velocity, or the flipper message."""
     flipper: FlipperConfig | None = None
-    """Configuration for robots of the U-CAT family, with commands as flipper messages."""
+    """Configuration for robots of the U-CAT family, whose commands are flipper messages."""
     negate_angle: bool = False
     """Whether the driver's angles, velocities and commands have the opposite sign."""
     limits: LimitsField
@@ -174,20 +174,20 @@ class Ros2PlantConfig(Configuration):
     """std_msgs/Bool topic; on true, the driver must brake and disable its motor. None: a stop only
     commands the fin to hold its angle."""
     stop_release: bool = False
-    """Whether to send false on the stop topic when the fin is enabled; use only if that cannot
-    cancel another program's stop."""
+    """Whether to send false on the stop topic when the fin is enabled; use only if this cannot
+    cancel a stop by a different program."""
     driver_delay_s: float = Field(default=0.15, ge=0, le=1)
-    """Time by which the fin may lag behind its commands [s]: the driver's delay plus its ramps
-    (twice the velocity divided by the acceleration). Only a longer lag counts as a following
+    """Time by which the fin may lag behind its commands [s]: the delay of the driver plus its ramps
+    (twice the velocity divided by the acceleration). Only a longer lag is treated as a following
     error."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)
-    """Longest wait for the first messages [s]."""
+    """Maximum wait for the first messages [s]."""
     connection: TransportConfig = Field(default_factory=TransportConfig)
-    """How to reach the driver."""
+    """Connection to the driver."""
 
     def check_apart(self, node: NodeConfig) -> None:
-        """Raise RigError if the node would publish on a topic of this fin or read one as its
-        reference."""
+        """Raise RigError if the node would publish on a topic of this fin, or would read its
+        references from such a topic."""
         ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:

@@ -1,9 +1,9 @@
-"""Transport to other nodes, as an interface that rclpy and DDS both implement, and topics read
-through it as timestamped values.
+"""Interface for the transport to other nodes, implemented by rclpy and DDS, and subscriptions that
+read topics as timestamped values.
 
-Messages are sent and received as CDR. Unusable ones are counted and reported once. Timestamps of
-other computers are mapped to our monotonic clock using the smallest delay so far, as in NTP's clock
-filter; this minimum is relaxed slowly to follow a drifting clock.
+Messages are sent and received as CDR. Unusable messages are counted and reported once. Timestamps
+from other computers are mapped to our monotonic clock using the smallest delay so far, as in the
+clock filter of NTP; this minimum is relaxed slowly to follow a drifting clock.
 """
 
 import math
@@ -30,7 +30,7 @@ Value = TypeVar("Value")
 BOOL = "std_msgs/msg/Bool"
 
 DEPTH = 10
-"""Default length of a reader's queue, which keeps the latest messages; ROS 2's default."""
+"""Default length of a reader queue, which keeps the latest messages; same as in ROS 2."""
 
 CREEP = 2e-4
 """Rate at which the smallest delay is relaxed [s/s]: four times the drift of an ordinary quartz
@@ -38,10 +38,10 @@ clock (50 ppm)."""
 
 
 Take: TypeAlias = Callable[[], list[tuple[bytes, float]]]
-"""Function that returns the messages received since the last call, oldest first: CDR, and the time
-of reception by `time.monotonic` [s].
+"""Function that returns the messages received since the last call, oldest first, as CDR with the
+reception time from `time.monotonic` [s].
 
-It never waits, and raises DeviceError if nothing can be received.
+The function never waits, and raises DeviceError if no messages can be received.
 """
 
 
@@ -59,23 +59,24 @@ class Subscriber:
     """A topic that softfin reads."""
 
     take: Take
-    """Function that returns the messages received."""
+    """Function that returns the received messages."""
     mismatched: Callable[[], int]
-    """Number of publishers so far whose messages are not received, because they offer a lower
-    quality of service than requested."""
+    """Function that returns the number of publishers so far whose messages are not received because
+    they offer a lower quality of service than requested."""
     publishers: Callable[[], list[str]]
-    """Names of the current publishers whose messages are received, in no particular order."""
+    """Function that returns the names of the current publishers whose messages are received, in no
+    particular order."""
 
 
 @dataclass
 class Publisher:
-    """A topic that we write to."""
+    """A topic to which softfin writes."""
 
     send: Callable[[bytes], None]
-    """Function that sends one message as CDR; raises DeviceError if it cannot be sent
+    """Function that sends one message as CDR; raises DeviceError if the message cannot be sent
     immediately."""
     readers: Callable[[], int]
-    """Number of current subscribers."""
+    """Function that returns the number of current subscribers."""
 
 
 @runtime_checkable
@@ -86,31 +87,31 @@ class Transport(Protocol):
     """Notes for the user on the connection, one line each."""
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
-        """Create a publisher: reliable, keep last 10, volatile.
+        """Create a publisher with the settings reliable, keep last 10 and volatile.
 
-        With `deadline_s`, the publisher offers this deadline, and manual-by-topic liveliness with
-        this lease [s]. Readers may then ask their middleware to report missing messages. Readers
+        With `deadline_s`, the publisher offers this deadline and manual-by-topic liveliness with
+        the same lease [s]. The middleware of a reader can then report missing messages. Readers
         that request neither still match.
         """
 
     def subscribe(
         self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
     ) -> Subscriber:
-        """Create a subscriber: keep last `depth`."""
+        """Create a subscriber that keeps the last `depth` messages."""
 
     def topics(self) -> dict[str, str]:
         """Return the topics published by other nodes, with their types."""
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the sorted names of the other nodes' publishers on a topic."""
+        """Return the sorted names of other nodes that publish on a topic."""
 
     def close(self) -> None:
         """Close the connection; may be called repeatedly and never raises."""
 
 
 class StampClock:
-    """Mapping from one sender's timestamps to our clock; the result is never later than the arrival
-    of the message."""
+    """Mapping from the timestamps of one sender to our clock; the result is never later than the
+    arrival of the message."""
 
     def __init__(self) -> None:
         self._first = self._newest = 0
@@ -131,8 +132,8 @@ class StampClock:
 
 
 class Subscription(Generic[Value]):
-    """Subscription to one topic; `read` extracts the value from a message, or raises ValueError
-    with the reason."""
+    """Subscription to one topic; `read` extracts the value from a message or raises ValueError with
+    the reason."""
 
     def __init__(
         self,
@@ -144,8 +145,8 @@ class Subscription(Generic[Value]):
         quality: Quality = "reliable",
         depth: int = DEPTH,
     ) -> None:
-        """Messages that are not `stamped` are assigned their arrival time, regardless of their
-        header; `depth` is the length of the queue between two calls of `take`."""
+        """Subscribe. If messages are not `stamped`, the arrival time is used instead of the time in
+        the header; `depth` is the length of the queue between two calls of `take`."""
         self.topic = topic
         self.kind = kind
         self._read = read
@@ -184,8 +185,8 @@ class Subscription(Generic[Value]):
         return self._subscriber.mismatched()
 
     def explain_publishers(self) -> str | None:
-        """Explain why the topic publishers cannot be used, ending with the fix; None if there is
-        exactly one."""
+        """Explain why the publishers of the topic cannot be used, ending with the fix; None if
+        there is exactly one publisher."""
         publishers = sorted(self._subscriber.publishers())
         if not publishers:
             return f"{self.topic}: no longer has a publisher; restart its driver"
@@ -205,7 +206,7 @@ class Subscription(Generic[Value]):
 
 
 def decode_ros_message(data: bytes, kind: str) -> Any:
-    """Decode a message of one of ROS 2's own types from CDR; raises ValueError if the bytes are
+    """Decode a message of a standard ROS 2 type from CDR; raises ValueError if the bytes are
     invalid."""
     try:
         return type_store().deserialize_cdr(data, kind)
@@ -215,7 +216,7 @@ def decode_ros_message(data: bytes, kind: str) -> Any:
 
 
 def read_stamp(message: object) -> int:
-    """Return the time since 1970 in the message's header [ns]; 0 if there is none."""
+    """Return the time since 1970 in the message header [ns]; 0 if there is no time."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)
 
@@ -239,7 +240,7 @@ def read_joint(message: Any, name: str) -> tuple[float, float | None]:
 
 
 def read_wrench(message: Any) -> Wrench:
-    """Return force and torque in the message's axes [N, N m]."""
+    """Return force and torque in the axes of the message [N, N m]."""
     parts = (("force", message.wrench.force), ("torque", message.wrench.torque))
     fx, fy, fz, tx, ty, tz = (
         _finite(f"{name} {axis}", getattr(part, axis)) for name, part in parts for axis in "xyz"
@@ -248,7 +249,7 @@ def read_wrench(message: Any) -> Wrench:
 
 
 def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
-    """Return the reference force in a WrenchStamped; its frame must be ours or empty."""
+    """Return the reference force in a WrenchStamped, whose frame must be ours or empty."""
     check_frame(message, frame)
     force = message.wrench.force
     return _finite("x", force.x), _finite("y", force.y)

@@ -1,8 +1,8 @@
-"""ROS 2 topics without ROS 2: plain DDS with ROS 2's names, types and quality of service; by
+"""ROS 2 topics without ROS 2: plain DDS with the names, types and quality of service of ROS 2; by
 default only on this computer.
 
-Names follow ROS 2's design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is the
-topic ``rt/fin/wrench``, and ``geometry_msgs/msg/Wrench`` is the type
+Names follow the ROS 2 design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is
+the topic ``rt/fin/wrench``, and ``geometry_msgs/msg/Wrench`` is the type
 ``geometry_msgs::msg::dds_::Wrench_``. Tested only between softfin processes on loopback, not yet
 with a ROS 2 node.
 """
@@ -42,27 +42,27 @@ except ImportError:
 
 URI = "CYCLONEDDS_URI"
 
-# Lengths of these types are given in brackets, which type checkers do not understand.
+# Type checkers do not understand the brackets that contain the lengths of these types.
 IDL: Any = types
 
 BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
 """ROS 2 types with different names in IDL."""
 
 PROCESS = {"__ProcessName", "__Pid", "__Hostname"}
-"""Properties with which Cyclone DDS describes its process."""
+"""Properties in which Cyclone DDS describes its process."""
 
 # A slow reader may block a writer for at most half a tick [ns].
 RELIABLE = Policy.Reliability.Reliable(5_000_000)
 
-# ROS 2 uses version 1 of CDR; cyclonedds would otherwise offer version 2 as well.
+# ROS 2 uses version 1 of CDR; otherwise, cyclonedds would also offer version 2.
 REPRESENTATION = Policy.DataRepresentation(
     use_cdrv0_representation=True, use_xcdrv2_representation=False
 )
 
 
 class Carrier(IdlStruct):
-    """Raw bytes as sent over the network: softfin's messages are already CDR, and received ones are
-    decoded elsewhere."""
+    """Raw bytes as sent over the network: softfin's messages are already CDR, and received messages
+    are decoded elsewhere."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -80,7 +80,7 @@ class Carrier(IdlStruct):
 
 
 def idl_type(kind: str, typestore: Typestore, carries: bool = False) -> Any:
-    """Return the DDS type of a message; if `carries` is set, its samples contain CDR instead of
+    """Return the DDS type of a message; if `carries` is set, the samples contain CDR instead of
     fields."""
     fields = {
         name: _idl_field(descriptor, typestore) for name, descriptor in typestore.fielddefs[kind][1]
@@ -111,7 +111,7 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
 
 
 def configuration(network: str | None) -> str:
-    """Return Cyclone DDS's configuration for a network interface; None restricts it to this
+    """Return the Cyclone DDS configuration for a network interface; None restricts DDS to this
     computer (loopback without multicast)."""
     if network is not None:
         inner = f'<General><Interfaces><NetworkInterface name="{network}"/></Interfaces></General>'
@@ -177,7 +177,7 @@ class DdsTransport:
     def subscribe(
         self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
     ) -> Subscriber:
-        """Create a reader, which keeps the latest messages."""
+        """Create a reader that keeps the latest messages."""
         reader: Any = DataReader(
             self._participant, self._topic(topic, kind), qos=_asked(quality, depth)
         )
@@ -222,7 +222,7 @@ class DdsTransport:
         return dict(sorted(topics))
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the sorted processes of the other nodes' publishers on a topic."""
+        """Return the sorted processes of other nodes that publish on a topic."""
         return sorted(
             _name_participant(self._participant, publication.participant_key)
             for publication in self._discover()
@@ -242,8 +242,8 @@ class DdsTransport:
         return list(self._others.values())
 
     def close(self) -> None:
-        """Release the participant; readers and writers still in use are closed with their last
-        reference."""
+        """Release the participant; readers and writers that are still in use are closed with their
+        last reference."""
         self._participant = self._publications = None
 
     def _topic(self, topic: str, kind: str) -> Any:
@@ -258,8 +258,8 @@ class DdsTransport:
 
 
 def _name_participant(participant: DomainParticipant, key: UUID) -> str:
-    """Return the process of another participant, or its number in DDS if it does not send the
-    process: only Cyclone DDS does, and DDS does not have the names of ROS 2's nodes."""
+    """Return the process of a different participant, or its DDS number if it does not send its
+    process. Only Cyclone DDS sends processes, and DDS does not contain the names of ROS 2 nodes."""
     values: dict[str, str] = {}
     for other in BuiltinDataReader(participant, BuiltinTopicDcpsParticipant).take(1000):
         if other.key == key and other.sample_info.valid_data:
@@ -286,13 +286,13 @@ def _offered(deadline_s: float | None) -> Qos:
     if deadline_s is None:
         return policies
     deadline_ns = round(deadline_s * 1e9)
-    # Manual by topic, so that only messages assert liveliness: a hung softfin must not look alive
-    # because its middleware is.
+    # Manual by topic, so that only messages assert liveliness: softfin must not seem alive when it
+    # hangs while its middleware runs.
     liveliness = Policy.Liveliness.ManualByTopic(deadline_ns)
     return Qos(Policy.Deadline(deadline_ns), liveliness, base=policies)
 
 
 @functools.cache
 def _open_domain(number: int, network: str | None) -> object:
-    """Open a DDS domain with our configuration; cached, because the whole process must share it."""
+    """Open a DDS domain with our configuration; cached because the entire process must share it."""
     return Domain(number, configuration(network))

@@ -10,18 +10,18 @@ from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 InputValue = TypeVar("InputValue")
 
 MAX_REMARKS = 20
-"""Maximum number of different notes to report; further ones are dropped."""
+"""Maximum number of different notes to report; further notes are dropped."""
 
 
 class OnceReporter:
-    """Reporter that passes each note to the user only once."""
+    """Reports each note to the user only once."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self.report = report
         self._reported: set[str] = set()
 
     def __call__(self, line: str) -> None:
-        """Report a line unless it was reported before or there are already `MAX_REMARKS` lines."""
+        """Report a line unless it was reported before or `MAX_REMARKS` lines have been reported."""
         if line not in self._reported and len(self._reported) < MAX_REMARKS:
             self._reported.add(line)
             self.report(line)
@@ -37,14 +37,15 @@ class NewestReference(Generic[InputValue]):
         clock: Callable[[], float],
         once: OnceReporter,
     ) -> None:
-        """`timeout_s` is the age after which a reference expires [s]; None means never."""
+        """Start without a reference; references expire after `timeout_s` [s], or never if it is
+        None."""
         self.subscription = subscription
         self._timeout = timeout_s
         self._clock = clock
         self._once = once
         self._newest: tuple[float, InputValue] | None = None
         self.is_lost = False
-        """Whether references were received and the latest has expired."""
+        """Whether references were received and the latest one has expired."""
 
     def newest(self) -> InputValue | None:
         """Return the latest reference; None if there is none or it has expired, which is
@@ -75,16 +76,16 @@ class NewestReference(Generic[InputValue]):
 
 
 QUALITIES: tuple[Quality, ...] = ("reliable", "best_effort", "latched")
-"""Qualities of service of the readers of an emergency stop. A reliable reader alone does not
-receive messages from a best-effort publisher, such as a radio bridge or a joystick driver, or a
-`true` latched before the node started; DDS reports neither to the publisher."""
+"""Qualities of service of the readers of an emergency stop. A reliable reader alone receives
+neither messages from a best-effort publisher, such as a radio bridge or a joystick driver, nor a
+`true` latched before the node started; DDS reports neither case to the publisher."""
 
 
 class EmergencyStop:
-    """A std_msgs/Bool topic on which `true` or an unreadable message is a permanent stop."""
+    """A std_msgs/Bool topic on which `true` or an unreadable message causes a permanent stop."""
 
     def __init__(self, transport: Transport, topic: str, once: OnceReporter) -> None:
-        """`once` receives notes for the user."""
+        """Subscribe to the topic; `once` receives notes for the user."""
         self._topic = topic
         self._once = once
         self._subscriptions = {
@@ -97,7 +98,7 @@ class EmergencyStop:
 
     @property
     def refused(self) -> int:
-        """Number of unreadable messages; each reaches several readers but is counted once."""
+        """Number of unreadable messages; a message reaches several readers but is counted once."""
         return max(subscription.refused for subscription in self._subscriptions.values())
 
     def reason(self) -> str | None:
@@ -107,7 +108,8 @@ class EmergencyStop:
                 self._reason = next(
                     filter(None, map(self._read_stop, self._subscriptions.values())), None
                 )
-                # Only this reader must match every publisher, because it requests the least.
+                # Only this reader must match every publisher, because it requests the lowest
+                # quality.
                 if self._subscriptions["best_effort"].mismatched():
                     problem = (
                         "messages of a publisher cannot be received, so it cannot stop the fin"

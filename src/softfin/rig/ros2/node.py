@@ -1,7 +1,7 @@
 """softfin as a ROS 2 node: publishes every sample and command, and receives references and the
 emergency stop.
 
-Called from the loop's thread; nothing here waits or moves the fin.
+The thread of the loop makes all calls; nothing in this module waits or moves the fin.
 """
 
 import functools
@@ -43,8 +43,8 @@ class RosNode:
         clock: Callable[[], float] = time.monotonic,
         default_limit_n: float = REFERENCE_LIMIT_N,
     ) -> None:
-        """`report` receives notes for the user, each only once; `resolve` maps a reference to the
-        tracked one; `default_limit_n` applies if `topics` has no limit."""
+        """Connect. `report` receives each note for the user only once; `resolve` maps a reference
+        to the tracked reference; `default_limit_n` applies if `topics` has no limit."""
         self.config = topics
         self._limit_n = topics.reference_limit_n or default_limit_n
         self._report_once = OnceReporter(report)
@@ -66,7 +66,8 @@ class RosNode:
         self._unsent = 0
 
     def publish(self, sample: Sample, target: Target | None) -> None:
-        """Publish one sample, and the command if it is new; count samples that cannot be sent."""
+        """Publish one sample, and the command if it is new, and count samples that cannot be
+        sent."""
         frame = self.config.frame
         name = self.config.joint_name
         # Read both clocks at the same time, because the wall clock may be set at any time.
@@ -88,20 +89,20 @@ class RosNode:
         return self._no_force if newest is None and self._references.is_lost else newest
 
     def stop_reason(self) -> str | None:
-        """Return the reason for a permanent stop, which includes an unreadable message; None if
-        there is none."""
+        """Return the reason for a permanent stop, which may be an unreadable message; None while no
+        stop is active."""
         return self._stop.reason()
 
     def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
-        """Publish a sample and forward stops, as an observer of the session."""
+        """As an observer of the session, publish a sample and forward stops."""
         reason = self.stop_reason()
         if reason is not None:
             request.ask("emergency_stop", reason)
-        # Also receive references here, so that their age counts from their arrival and not from the
+        # Also receive references here so that their age counts from their arrival, not from the
         # next action.
         self.reference()
         if self._references.is_lost and self.config.reference_lost == "stop":
-            # A fin without its robot, radio link or operator must not keep swimming.
+            # A fin without its robot, radio link or operator must not keep moving.
             topic = self.config.reference_topic
             timeout_s = self.config.reference_timeout_s
             reason = (
@@ -112,8 +113,8 @@ class RosNode:
         self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:
-        """Return the numbers of references received, of references and stops rejected, and of
-        samples not sent."""
+        """Return the numbers of received references, rejected references and stops, and unsent
+        samples."""
         references = self._references.subscription
         return {
             "references": references.received - references.refused,

@@ -45,16 +45,16 @@ COMMAND_RATE_HZ = 20.0
 
 COMMAND_DEADLINE_S = 0.2
 """Time without commands after which a driver should stop its fin [s]: four commands are missing by
-then, and it exceeds the default limit on the lateness of a tick."""
+then, and the time exceeds the default limit for late ticks."""
 
 LOCK_S = 0.02
-"""Longest wait of a stop for a command in progress [s], which takes at most 5 ms unless it
+"""Maximum wait of a stop for a command in progress [s]; a command takes at most 5 ms unless it
 hangs."""
 
 
 def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
     """Open the configured transport (auto: rclpy if installed, otherwise DDS); raises RigError if
-    it is not installed."""
+    the transport is not installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(
@@ -71,8 +71,8 @@ def open_transport(config: TransportConfig, types: Typestore | None = None) -> T
 
 
 def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
-    """Return the message that moves the flipper to an angle [rad]; raises RigError if it cannot be
-    built."""
+    """Return the message that moves the flipper to an angle [rad]; raises RigError if the message
+    cannot be built."""
     seconds, rest = divmod(time.time_ns(), SECOND_NS)
     stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
     try:
@@ -90,8 +90,8 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
 
 
 def define_types(definitions: Mapping[str, str]) -> Typestore:
-    """Return ROS 2's own types and those defined by the text of .msg files; raises RigError if a
-    text is invalid."""
+    """Return the standard ROS 2 types and the types defined by the text of .msg files; raises
+    RigError if a text is invalid."""
     types = get_typestore(Stores.ROS2_HUMBLE)
     kind = ""
     try:
@@ -106,13 +106,14 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
 
 
 class SentCommands:
-    """Commands as messages, repeated while they are active, and the setpoint that moves towards the
-    target."""
+    """Commands as messages, which are repeated while active, and the setpoint that moves towards
+    the target."""
 
     def __init__(
         self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float
     ) -> None:
-        """`encode` builds a message from the target and the setpoint [rad]."""
+        """Start without a target; `encode` builds a message from the target and the setpoint
+        [rad]."""
         self.publisher = publisher
         self._encode = encode
         self._period = period_s
@@ -120,14 +121,14 @@ class SentCommands:
         self.restart()
 
     def restart(self) -> None:
-        """Start the next setpoint at the measured angle."""
+        """Make the next setpoint start at the measured angle."""
         self.target: Target | None = None
         """Target of the setpoint; None if the next setpoint starts at the measured angle."""
         self._recent: deque[tuple[float, float]] = deque()
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Move to a target from the current setpoint, or from the measured angle if there is none
-        yet."""
+        """Move to a target from the current setpoint, or from the measured angle if there is no
+        setpoint yet."""
         self._setpoint = angle if self.target is None else self._at(self.target, now)
         self.target = target
         self._since = now
@@ -138,8 +139,7 @@ class SentCommands:
         """Send the next message if it is due."""
         # Ticks may be slightly early or late.
         if self.target is not None and now >= self._next - 1e-3:
-            # Stay in phase with the first message; messages missed in a late tick are not made up
-            # for.
+            # Stay in phase with the first message; messages missed in a late tick are skipped.
             self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
             self.publisher.send(self._encode(self.target, self._at(self.target, now)))
 
@@ -148,10 +148,10 @@ class SentCommands:
         self.publisher.send(self._encode(Target(angle, velocity), angle))
 
     def following_error(self, angle: float, now: float, delay_s: float) -> float:
-        """Return the lead of the setpoint over a measured angle [rad].
+        """Return the angle by which the setpoint leads a measured angle [rad].
 
         The error is 0 if the angle is within the range of the setpoints of the last `delay_s` [s],
-        because the driver may lag by that much.
+        because the driver may lag by this time.
         """
         assert self.target is not None
         self._recent.append((now, self._at(self.target, now)))
@@ -185,9 +185,9 @@ class Ros2Machine:
     """A fin behind ROS 2 topics that implements the `Machine` protocol.
 
     The driver determines how a stop works. `stop` commands the fin to hold its last measured angle,
-    so that the driver brakes it. With a `stop_topic`, it also sends `true` on that topic. Both are
-    repeated until the fin is at rest. The motor may stay on. A driver that ignores the messages
-    does not stop, which is reported. Keep a switch for the motor's supply within reach.
+    so that the driver brakes it. With a `stop_topic`, it also sends `true` on that topic. Both
+    messages are repeated until the fin is at rest. The motor may stay on. A driver that ignores the
+    messages does not stop, which is reported. Keep a switch for the motor supply within reach.
     """
 
     name = "ros2"
@@ -207,7 +207,7 @@ class Ros2Machine:
         # Re-entrant, because a signal handler may stop the machine while the same thread is sending
         # a command.
         self._lock = clock.lock()
-        # The loop reads, and a stop in another thread checks whether the fin still turns.
+        # The loop reads, and a stop in a different thread checks whether the fin still turns.
         self._reading = clock.lock()
         topic = config.command_topic
         domain = config.connection.domain_id()
@@ -215,7 +215,7 @@ class Ros2Machine:
         self._topics: _Topics | None = None
         self._enabled = False
         self._was_enabled = False
-        """Whether the fin has been enabled since `open`, so that softfin is responsible for its
+        """Whether the fin has been enabled since `open`, which makes softfin responsible for its
         motion."""
         self._stop_failure: str | None = None
         self._joint: tuple[float, float, float] | None = None
@@ -225,7 +225,7 @@ class Ros2Machine:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the connection, and one if the command topic cannot be locked."""
+        """Notes on the connection, including a note if the command topic cannot be locked."""
         if self._topics is None:
             return ()
         note = self.device_lock.note
@@ -233,8 +233,8 @@ class Ros2Machine:
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning after a stop: always that the motor may still be on, or that the fin may still
-        turn."""
+        """Warning after a stop, which is never confirmed: the motor may still be on, or the fin may
+        still turn."""
         return (
             self._stop_failure
             or "softfin cannot confirm that the motor is off; keep a switch for its supply "
@@ -256,7 +256,7 @@ class Ros2Machine:
         transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], object]) -> Subscription[Any]:
-            # This matches every publisher, and a reading that is sent again would be too late.
+            # This quality matches every publisher, and resent readings would be too late anyway.
             return Subscription(transport, topic, kind, read, quality="best_effort")
 
         def encode(target: Target, setpoint: float) -> bytes:
@@ -272,7 +272,7 @@ class Ros2Machine:
 
         try:
             self.device_lock.acquire(self.clock)
-            # Report errors in a flipper's configuration before anything is sent.
+            # Report errors in the flipper configuration before anything is sent.
             encode(Target(0.0, 0.0), 0.0)
             joint = subscribe(
                 config.joint_topic,
@@ -285,7 +285,7 @@ class Ros2Machine:
                 lambda message: rotated(read_wrench(message), turn),
             )
             self._await_first(joint, wrench)
-            # Check before we create our own publisher, which would make the other program stop the
+            # Check before we create our own publisher, which would make a second program stop the
             # fin.
             if problems := self._explain_publishers(transport, joint, wrench):
                 raise DeviceError(problems[0])
@@ -365,7 +365,7 @@ class Ros2Machine:
 
     def stop(self) -> None:
         """Brake until the fin is at rest, for at most 0.5 s; see the class for its limitations."""
-        # A command that hangs in the transport must not block the watchdog's stop.
+        # A command that hangs in the transport must not block the stop by the watchdog.
         alone = self._lock.acquire(timeout=LOCK_S)
         self._enabled = False
         topics = self._topics
@@ -373,21 +373,21 @@ class Ros2Machine:
             self._lock.release()
         if topics is None:
             return
-        # If the loop hung, the latest reading is old, and holding an old angle would be a motion.
-        # So read again, in a thread because the transport may be what hangs. If no thread can be
+        # If the loop hung, the latest reading is old, and holding an old angle would move the fin.
+        # Therefore, read again, in a thread because the transport may hang. If no thread can be
         # started, stop anyway.
         with contextlib.suppress(RuntimeError):
             self.clock.spawn(self._read_quietly, "ros2 reading before a stop").join(LOCK_S)
         joint = self._joint
         if joint is None:
             return
-        # The lowest velocity, because it limits how fast the fin returns if it has already passed
-        # the angle; braking does not depend on it.
+        # Use the lowest velocity because it limits how fast the fin returns if it has already
+        # passed the angle; braking does not depend on the velocity.
         velocity = self.limits.velocity_min or self.limits.velocity_max
         sends = []
         if self._was_enabled:
-            # Always send this, and first: the only reader of the stop topic may be a recorder and
-            # not the driver.
+            # Always send this message, and send it first: the only reader of the stop topic may be
+            # a recorder instead of the driver.
             sends.append(functools.partial(topics.commands.hold, joint[1], velocity))
         if topics.stop is not None:
             sends.append(functools.partial(topics.stop.send, serialized(BOOL, {"data": True})))
@@ -413,7 +413,7 @@ class Ros2Machine:
             )
 
     def close(self) -> None:
-        """Stop and disconnect; sends nothing if the machine is not enabled."""
+        """Stop and disconnect; nothing is sent if the machine is not enabled."""
         with self._lock:
             if self._enabled:
                 self.stop()
@@ -427,7 +427,7 @@ class Ros2Machine:
         self.device_lock.release()
 
     def counters(self) -> dict[str, int]:
-        """Return the counters of both topics; after `close`, the final ones."""
+        """Return the counters of both topics, or their final values after `close`."""
         if self._topics is None:
             return self._counted
         return {
@@ -442,8 +442,8 @@ class Ros2Machine:
     def _explain_publishers(
         self, transport: Transport, joint: JointSubscription, wrench: Subscription[Wrench]
     ) -> list[str]:
-        """Return one line per publisher fault, ending with its fix: a topic of readings without
-        exactly one publisher, or a different publisher of commands."""
+        """Return one line per publisher fault, ending with the fix. Faults are a topic of readings
+        without exactly one publisher, and a different publisher of commands."""
         lines = [joint.explain_publishers(), wrench.explain_publishers()]
         topic = self.config.command_topic
         if others := transport.publishers(topic):

@@ -1,8 +1,8 @@
 """ROS 2 topics through rclpy, for Python environments with ROS 2; messages are sent and received as
 bytes.
 
-Written from rclpy's documentation and tested with a substitute for rclpy, not yet with a real ROS 2
-installation.
+Written from the rclpy documentation and tested with a substitute for rclpy, not yet with a real ROS
+2 installation.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ class RclpyTransport:
                 importlib.import_module, ("rclpy", "rclpy.executors", "rclpy.signals")
             )
             context = rclpy.Context()
-            # softfin handles Ctrl-C, because it must stop the fin first, and its command line
+            # softfin handles Ctrl-C itself, because it must stop the fin first. Its command line
             # contains no ROS arguments.
             rclpy.init(
                 args=[],
@@ -70,7 +70,7 @@ class RclpyTransport:
                 # `publish` accepts bytes as a serialized message.
                 publisher.publish(data)
             except Exception as error:
-                # rclpy's exceptions come from several modules of its C extension.
+                # Exceptions in rclpy come from several modules of its C extension.
                 raise DeviceError(
                     f"{topic}: message not sent ({one_line(error)}); check whether ROS 2 is still "
                     "running"
@@ -81,7 +81,7 @@ class RclpyTransport:
     def subscribe(
         self, topic: str, kind: str, quality: Quality = "reliable", depth: int = DEPTH
     ) -> Subscriber:
-        """Create a raw subscription, which returns the bytes received."""
+        """Create a raw subscription, which returns the received bytes."""
         waiting: deque[tuple[bytes, float]] = deque(maxlen=depth)
 
         def take() -> list[tuple[bytes, float]]:
@@ -101,7 +101,7 @@ class RclpyTransport:
         return Subscriber(take, lambda: 0, lambda: self._publisher_names(topic))
 
     def topics(self) -> dict[str, str]:
-        """Return topics and types as in `ros2 topic list -t`, without our own."""
+        """Return topics and types as in `ros2 topic list -t`, without our own topics."""
         found = sorted(self._node.get_topic_names_and_types())
         return {
             name: ", ".join(kinds)
@@ -110,7 +110,7 @@ class RclpyTransport:
         }
 
     def publishers(self, topic: str) -> list[str]:
-        """Return the sorted names of the other nodes' publishers on a topic."""
+        """Return the sorted names of other nodes that publish on a topic."""
         # Subtract only our own publishers: a different node may have the same name as ours.
         own = Counter({self._name: self._own.count(topic)})
         return sorted((Counter(self._publisher_names(topic)) - own).elements())
@@ -125,7 +125,7 @@ class RclpyTransport:
         return [f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found]
 
     def _spin(self) -> None:
-        # Whenever the executor ends, messages end: `take` must report that.
+        # When the executor ends, no more messages arrive, which `take` must report.
         try:
             self._executor.spin()
             self.failure = "its executor has ended"

@@ -1,1 +1,1 @@
-"""ROS 2 bags in MCAP: written while a fin moves, recovered, converted."""
+"""ROS 2 bags in MCAP format: live recording, recovery and reading."""

@@ -1,8 +1,8 @@
-"""Contents of softfin's bags: topics, messages as CDR, and the definitions that any reader needs to
+"""Contents of softfin's bags: topics, messages as CDR, and the definitions that readers need to
 decode them.
 
 Times are nanoseconds since 1970. Type names are complete, such as ``sensor_msgs/msg/JointState``;
-readers reject shorter ones.
+readers reject shorter names.
 """
 
 import importlib.metadata
@@ -29,12 +29,13 @@ CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
 CHANNEL_TOPICS = "/fin/channels/"
-"""Start of the topics of a log's other channels; the rest is the channel's name."""
+"""Prefix of the topics of additional log channels; the rest of a topic is the name of the
+channel."""
 
 VOLTAGE = CHANNEL_TOPICS + VOLTAGE_CHANNEL
 
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
-"""Topics that become a log, by their role in `softfin.data.importing`."""
+"""Topics that become a log, keyed by their role in `softfin.data.importing`."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
@@ -70,8 +71,8 @@ FRAME = "fin"
 
 SECOND_NS = 1_000_000_000
 
-# After CDR's encapsulation header of 4 bytes, a message with a header starts with its stamp:
-# seconds as int32 and nanoseconds as uint32, little-endian.
+# After the 4-byte CDR encapsulation header, a message with a header starts with its stamp: seconds
+# as int32 and nanoseconds as uint32, little-endian.
 _STAMP = struct.Struct("<iI")
 _STAMP_BYTE = 4
 _NUMBER = struct.Struct("<d")
@@ -79,18 +80,18 @@ _NUMBER = struct.Struct("<d")
 
 @cache
 def type_store() -> Typestore:
-    """Return ROS 2's own message definitions, which serialise and deserialise CDR."""
+    """Return the message definitions of ROS 2, for serialising and deserialising CDR."""
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def cdr(
     kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FRAME, joint: str = FRAME
 ) -> bytes:
-    """Return the bytes of a message, in OMG's CDR as used by ROS 2; the stamp is the time since
-    1970 [ns].
+    """Return a message as bytes in OMG CDR, as used by ROS 2; the stamp is the time since 1970
+    [ns].
 
-    rosbags serialises each kind of message once; the numbers are then written into a copy, which is
-    seven times faster. Speed matters because the recorder blocks Python's lock while the control
+    rosbags serialises each kind of message once; the numbers are then written into copies, which is
+    seven times faster. Speed matters because the recorder holds Python's lock while the control
     loop waits.
     """
     if isinstance(values, str):
@@ -106,8 +107,9 @@ def cdr(
 
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
-    """Return a message as serialised by rosbags, and the byte offsets of its values."""
-    # Each value gets its own marker, 1, 2 and so on; searching for its bytes finds the offset.
+    """Return a message serialised by rosbags, and the byte offsets of its values."""
+    # Each value gets its own marker (1, 2 and so on), whose bytes are searched for to find the
+    # offset.
     marks = range(1, 1 + len(FIELDS[kind]))
     values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
     if kind != FLOAT:
@@ -119,18 +121,18 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
 
 
 def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:
-    """Return the bytes of a message of any type, using the general serialiser; `values` are as for
-    `build_message`."""
+    """Return a message of any type as bytes, using the general serialiser; `values` are the same as
+    in `build_message`."""
     types = types or type_store()
     return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """Build a field, as described by rosbags, from values keyed by their paths within it; all other
-    numbers are 0, and all other fields are empty.
+    """Build a field, as described by rosbags, from values keyed by their paths within the field;
+    all other numbers are 0, and all other fields are empty.
 
-    Sequences are as long as the paths require. Raises ValueError for unknown fields and values of
-    the wrong type.
+    Sequences are as long as the paths require. Raises ValueError if a field is unknown or a value
+    has the wrong type.
     """
     node, detail = descriptor
     if node is Nodetype.BASE:
@@ -155,14 +157,13 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
     (kind, base), _ = detail
     if kind is not Nodetype.BASE or base[0] == "string":
         return items
-    # rosbags serialises sequences of numbers from NumPy arrays; ROS's byte and char have no NumPy
-    # type of that name.
+    # rosbags serialises sequences of numbers from NumPy arrays; NumPy has no types named byte and
+    # char as in ROS.
     return np.array(items, {"byte": "int8", "char": "uint8"}.get(base[0], base[0]))
 
 
 def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> dict[str, Any]:
-    """Return the descriptors of a message's fields by name, or of a sequence's elements by
-    index."""
+    """Return the descriptors of message fields by name, or of sequence elements by index."""
     node, detail = descriptor
     if node is Nodetype.NAME:
         return dict(types.fielddefs[detail][1])
@@ -177,7 +178,7 @@ class BagWriter:
     """Writes an MCAP file to a stream, message by message."""
 
     def __init__(self, stream: object, channel_topics: Sequence[str] = ()) -> None:
-        """`channel_topics` are further topics, with one number in each message."""
+        """Start the file; `channel_topics` are additional topics with one number per message."""
         self._types = TYPES | dict.fromkeys(channel_topics, FLOAT)
         self._writer = start_writer(stream)
         store = type_store()
@@ -187,8 +188,8 @@ class BagWriter:
             )
             for kind in dict.fromkeys(TYPES.values())
         }
-        # MCAP's profile for ROS 2 requires this entry; if empty, ROS 2's default quality of service
-        # applies.
+        # The MCAP profile for ROS 2 requires this entry; if it is empty, the default quality of
+        # service of ROS 2 applies.
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"])}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
@@ -205,7 +206,7 @@ class BagWriter:
 
 
 def start_writer(stream: Any) -> Any:
-    """Start an MCAP file with the settings that all of softfin's bags use."""
+    """Start an MCAP file with the settings of all softfin bags."""
     writer: Any = Writer(stream, compression=CompressionType.NONE)
     writer.start(profile="ros2", library=f"softfin {importlib.metadata.version('softfin')}")
     return writer

@@ -1,5 +1,5 @@
-"""Reads the messages of a bag, ROS 2 (MCAP or SQLite) or ROS 1. Needs neither ROS nor an index, a
-profile or `metadata.yaml`."""
+"""Reads the messages of a ROS 2 bag (MCAP or SQLite) or a ROS 1 bag. ROS, an index, a profile and
+`metadata.yaml` are not needed."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -21,10 +21,10 @@ from softfin.storage.bag.recovery import MAX_RECORD_BYTES, check_bag
 from softfin.storage.paths import BAGS
 
 ENCODINGS = {"cdr": "CDR (ROS 2)", "ros1": "ROS 1"}
-"""Encodings of messages that `decode_message` reads, with their names."""
+"""Message encodings that `decode_message` supports, with their names."""
 
 READERS: dict[str, Any] = {".db3": Sqlite3Reader, ".bag": Ros1Reader}
-"""Readers of files by suffix."""
+"""File readers, keyed by suffix."""
 
 
 class BagMessage(NamedTuple):
@@ -34,17 +34,17 @@ class BagMessage(NamedTuple):
     kind: str
     encoding: str
     logged_ns: int
-    """Time at which it was recorded, since 1970 [ns]."""
+    """Logging time since 1970 [ns]."""
     data: bytes
 
 
 def read_messages(path: Path) -> Iterator[BagMessage]:
-    """Yield the messages of a file, or of the folder of a bag; raises LogError if it cannot be
+    """Yield the messages of a bag (a file or a folder); raises LogError if the bag cannot be
     read."""
     files = [path]
     if path.is_dir():
         files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in BAGS]
-    # A folder without such files has compressed ones, which rosbags unpacks.
+    # If a folder has no such files, they are compressed, and rosbags unpacks them.
     for file in files or [path]:
         try:
             is_mcap = file.suffix.lower() == ".mcap"
@@ -84,7 +84,7 @@ def _rosbags_messages(path: Path) -> Iterator[BagMessage]:
 
 
 def _full_type(kind: str) -> str:
-    """Return a type's name in ROS 2's form; ROS 1 omits the middle part."""
+    """Return a type name in ROS 2 form; ROS 1 omits the middle part."""
     package, _, name = kind.rpartition("/")
     return kind if "/" in package else f"{package}/msg/{name}"
 
@@ -95,14 +95,14 @@ def _ros1_types() -> Typestore:
 
 
 def decode_message(message: BagMessage) -> Any:
-    """Decode a message with ROS's own definitions, not with the bag's: rosbags turns definitions
-    into code, and a bag may come from an untrusted source.
+    """Decode a message with the standard ROS definitions. The definitions in the bag are not used,
+    because rosbags turns definitions into code, and a bag may come from an untrusted source.
 
-    Raises any exception for damaged bytes.
+    May raise any exception if the bytes are damaged.
     """
     data = message.data
     if data.startswith(zstandard.FRAME_HEADER):
-        # ROS 2 can compress each message.
+        # ROS 2 can compress single messages.
         data = zstandard.decompress(data, MAX_RECORD_BYTES)
     if message.encoding == "ros1":
         return _ros1_types().deserialize_ros1(data, message.kind)

@@ -1,8 +1,8 @@
-"""Reads bags that are complete, still growing, truncated or damaged. Converts bytes to the mcap
-library's records or to a complete bag.
+"""Reads bags that are complete, growing, truncated or damaged, and converts them to records of the
+mcap library or to a complete bag.
 
-The library's own readers need a properly closed file. Here, a record is read as soon as it is
-complete in the file, and a chunk only if its length and checksum are correct.
+The readers of the mcap library need a properly closed file. This module reads a record as soon as
+it is complete in the file, and a chunk only if its length and checksum are correct.
 """
 
 import io
@@ -33,8 +33,8 @@ HEAD = struct.Struct("<BQ")
 """Header of each record: opcode and length."""
 
 MAX_RECORD_BYTES = 2**30
-"""Size of the largest record or unpacked chunk that is read [bytes]. ROS 2 closes its chunks below
-one megabyte, but a camera's chunks are often larger."""
+"""Maximum size of a record or unpacked chunk [bytes]. ROS 2 closes chunks below one megabyte, but
+chunks with camera images are often larger."""
 
 BagRecord: TypeAlias = Schema | Channel | Message | Footer
 
@@ -42,7 +42,7 @@ _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode
 
 
 class SizeError(InputError):
-    """A record that is too large to be read, but not damaged."""
+    """Raised for a record that is too large to be read but not damaged."""
 
 
 class RawRecord(NamedTuple):
@@ -51,7 +51,7 @@ class RawRecord(NamedTuple):
     opcode: int
     start: int
     end: int
-    """Offsets of the record's first byte and of the byte after it."""
+    """Offsets of the first byte of the record and of the byte after the record."""
     content: bytes
     """Bytes after the header; empty for an attachment."""
 
@@ -60,19 +60,19 @@ class Damage(NamedTuple):
     """A part of the file that cannot be read."""
 
     byte: int
-    """Offset of its first byte."""
+    """Offset of the first byte."""
     reason: str
 
 
 def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[RawRecord]:
-    """Yield the complete records between two offsets of a file; raises LogError at bytes that
-    cannot be a record."""
+    """Yield the complete records between two offsets of a file; raises LogError if the bytes cannot
+    be a record."""
     while start + HEAD.size <= size:
         file.seek(start)
         head = file.read(HEAD.size)
         if len(head) < HEAD.size or not any(head):
-            # On a network share, or after a power cut, a file can have its final length but not yet
-            # its bytes.
+            # On a network share or after a power cut, a file can have its final length before its
+            # contents.
             return
         opcode, length = HEAD.unpack(head)
         end = start + HEAD.size + length
@@ -124,8 +124,7 @@ def _size_error(size: int, start: int) -> SizeError:
 
 
 def scan(path: Path) -> Iterator[BagRecord | Damage]:
-    """Yield the records of a file in order, including those in chunks, and damaged parts where they
-    occur."""
+    """Yield the records of a file in order, including records in chunks and damaged parts."""
     try:
         with path.open("rb") as file:
             yield from _scan(file, path)
@@ -166,7 +165,7 @@ def _scan(file: io.BufferedIOBase, path: Path) -> Iterator[BagRecord | Damage]:
             try:
                 yield from decode_bag_record(record)
             except LogError as error:
-                # The next record can still be read.
+                # The next record may still be readable.
                 yield Damage(record.start, str(error))
     except LogError as error:
         reason = str(error)
@@ -179,7 +178,7 @@ class Recovery(NamedTuple):
     messages: dict[str, int]
     """Number of saved messages per topic."""
     damages: tuple[Damage, ...]
-    """Parts of the file that could not be read; if there are none, no file was written."""
+    """Unreadable parts of the file; if there are none, no file was written."""
 
     def to_dict(self) -> JsonObject:
         """Convert for JSON."""
@@ -195,8 +194,8 @@ def recovered_path(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Write all readable messages of a damaged file to a new bag; raises LogError if there are
-    none, and ArtifactError if `out` exists. An intact file is not copied."""
+    """Write all readable messages of a damaged file to a new bag; raises LogError if no message is
+    readable, and ArtifactError if `out` exists. An intact file is not copied."""
     if out.resolve() == path.resolve():
         raise ArtifactError(f"{out}: is the damaged recording itself; choose a different --out")
     artifacts.check_file(out, overwrite)
@@ -227,10 +226,10 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
 
 
 def _copy_channels(path: Path, writer: Any) -> dict[int, tuple[str, int]]:
-    """Define the channels of a bag in another one; return their topics and new numbers.
+    """Define the channels of a bag in a new bag; return their topics and new numbers.
 
-    If the first chunk is lost, definitions may follow their messages, because the index repeats
-    them.
+    If the first chunk is lost, definitions may follow their messages, because the index repeats the
+    definitions.
     """
     # In MCAP, schema id 0 means "no schema".
     schemas = {0: 0}

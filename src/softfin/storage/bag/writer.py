@@ -1,9 +1,9 @@
-"""Live recording as a ROS 2 bag in MCAP: the control loop queues rows and never waits; a thread
-writes them.
+"""Live recording as a ROS 2 bag in MCAP format. The control loop queues rows without waiting, and a
+thread writes them.
 
-Every `flush_s` seconds, the rows so far are closed as a chunk, written and synchronised to disk, so
-a crash or a power cut loses only later rows. At any time the file is the start of a valid bag,
-which `softfin bag recover` completes.
+Every `flush_s` seconds, new rows are closed as a chunk, written and synchronised to disk, so a
+crash or a power cut loses only later rows. At any time, the file is the start of a valid bag, which
+`softfin bag recover` can complete.
 """
 
 import contextlib
@@ -30,23 +30,24 @@ from softfin.storage.bag.messages import (
 )
 
 POLL_S = 0.05
-"""Period at which the queue is emptied [s]. With so few rows at a time, the loop is delayed by at
-most a few tenths of a millisecond."""
+"""Period at which the queue is emptied [s]. There are few rows at a time, so the loop is delayed by
+at most a few tenths of a millisecond."""
 
 STALL_S = 5.0
-"""Time without a flush, while rows arrive, after which the recording counts as failed [s]."""
+"""Time without a flush, while rows arrive, after which the recording is treated as failed [s]."""
 
 BACKLOG = 50_000
-"""Maximum number of rows that wait for a slow disk: two minutes at 400 per second, about 20 MB."""
+"""Maximum number of rows that wait for a slow disk: two minutes at 400 rows per second, about 20
+MB."""
 
 CLOSE_S = 10.0
 """Maximum time that `close` waits for the thread [s]."""
 
 
 class BagRecorder:
-    """A bag that grows while the fin moves; one thread adds rows, with times from `clock`.
+    """A bag that grows while the fin moves. A thread adds rows with times from `clock`.
 
-    Timestamps are times from `clock` plus its initial offset from the wall clock, so that jumps of
+    Time stamps are times from `clock` plus the initial offset of the wall clock, so that jumps of
     the wall clock have no effect.
     """
 
@@ -69,11 +70,11 @@ class BagRecorder:
             queue.SimpleQueue()
         )
         self.failure: str | None = None
-        """One-line reason why this recording is incomplete, with a fix; None if there is no
+        """Reason why the recording is incomplete, with a fix, in one line; None if there is no
         failure."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # A buffer of 50 MB is enough for 25 minutes of rows while the disk is full.
+            # The buffer of 50 MB can hold the rows of 25 minutes while the disk is full.
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(
@@ -89,8 +90,8 @@ class BagRecorder:
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
-        # Flush now, so that the file is a bag before the first row arrives and a full disk is
-        # noticed before anything moves.
+        # Flush now so that the file is a valid bag before the first row arrives, and a full disk is
+        # detected before anything moves.
         self._flush()
         if self.failure is not None:
             with contextlib.suppress(OSError):
@@ -101,7 +102,7 @@ class BagRecorder:
 
     def command(self, time: float, angle: float, velocity: float) -> None:
         """Record a command [rad, rad/s]."""
-        # In simulated time two commands may have the same time, but their order must be kept.
+        # In simulated time, two commands may have the same time, but their order must be kept.
         self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
@@ -113,8 +114,8 @@ class BagRecorder:
         current: float | None,
         voltage: float | None = None,
     ) -> None:
-        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] and
-        supply voltage [V] if they are measured."""
+        """Record the angle and velocity of the shaft [rad, rad/s], and the motor current [A] and
+        supply voltage [V] if measured."""
         self._hand_in(JOINT, time, (angle, velocity))
         if current is not None:
             self._hand_in(CURRENT, time, (current,))
@@ -122,11 +123,11 @@ class BagRecorder:
             self._hand_in(VOLTAGE, time, (voltage,))
 
     def wrench(self, time: float, wrench: Sequence[float]) -> None:
-        """Record force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""
+        """Record the force [N] and torque [N m] of the fin on its mount, (x, y, z) each."""
         self._hand_in(WRENCH, time, tuple(wrench))
 
     def reference(self, time: float, force: Sequence[float]) -> None:
-        """Record the reference force, (x, y) [N]."""
+        """Record the reference force (x, y) [N]."""
         self._hand_in(REFERENCE, time, (*force, 0.0, 0.0, 0.0, 0.0))
 
     def event(self, time: float, text: str) -> None:
@@ -150,8 +151,8 @@ class BagRecorder:
         if self._closing.is_set():
             return
         waiting = self._queue.qsize()
-        # The loop must not wait: rows beyond the backlog are dropped, and the recording counts as
-        # failed.
+        # The loop must not wait: rows beyond the backlog are dropped, and the recording is treated
+        # as failed.
         if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
             self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
         if waiting < BACKLOG:
@@ -166,7 +167,7 @@ class BagRecorder:
             self._take()
             self._flush(end=True)
         except Exception as error:
-            # Whatever the error is, the loop must see it and stop the fin.
+            # Whatever the error is, the loop must detect it and stop the fin.
             self._fail(
                 f"{type(error).__name__}: {one_line(error)}",
                 f"run softfin bag recover {self.path}",
@@ -190,14 +191,15 @@ class BagRecorder:
         try:
             (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
-                # Reported while there is still space for the stop, the events and the footer.
+                # Report the error while there is still space for the stop, the events and the
+                # footer.
                 self._fail(
                     f"less than {self._reserve / 1e6:g} MB of disk space left", "free disk space"
                 )
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            # Unwritten bytes stay in the buffer: the next flush continues there if space is free
+            # Unwritten bytes stay in the buffer; the next flush writes them if there is free space
             # again.
             self._fail(
                 error.strerror or str(error),

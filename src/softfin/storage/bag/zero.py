@@ -1,5 +1,5 @@
-"""Force zero in a bag: a session measures the force at rest and records it as an event; the
-recorded wrench stays raw.
+"""Force zero in a bag: a session measures the force at rest and records it as an event, but records
+the raw wrench.
 
 This module parses the events and returns the zero at any time, to be subtracted from the readings.
 """
@@ -31,10 +31,10 @@ def parse_zero(text: str) -> RestForce | None:
 def zeros_at(
     zeros: Sequence[tuple[float, RestForce]], time: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "rows 2"]:
-    """Return the zero [N] for each time: the last one measured by then, or the first one for
+    """Return the zero [N] for each time: the last zero measured by then, or the first zero for
     earlier times.
 
-    `zeros` are sorted by time, on the clock of `time`; if there are none, the result is 0.
+    `zeros` are sorted by time and on the same clock as `time`; if there are none, the result is 0.
     """
     if not zeros:
         return np.zeros((len(time), 2))

@@ -1,1 +1,2 @@
-"""The paper's surrogate: PosNet and ForceNet, which see a window of past samples (Sec. III-B)."""
+"""The paper's surrogate: PosNet and ForceNet, whose input is a window of past samples (Sec.
+III-B)."""

@@ -1,4 +1,4 @@
-"""The paper's networks as an architecture of surrogates."""
+"""The paper's networks as a surrogate architecture."""
 
 from softfin.surrogate.paper.fit import FitConfig, fit_paper
 from softfin.surrogate.paper.surrogate import Surrogate

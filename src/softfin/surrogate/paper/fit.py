@@ -1,8 +1,8 @@
-"""Fits PosNet and ForceNet to logs: both are trained together on the same windows to predict one
+"""Fits PosNet and ForceNet to logs. Both are trained together on the same windows to predict one
 step ahead (Sec. III-B).
 
-Adam minimizes the mean squared error of the scaled outputs. Each network keeps the weights with the
-lowest error on held-out logs, and training stops early if neither improves.
+Adam minimizes the mean squared error of the scaled outputs. For each network, the weights with the
+lowest error on held-out logs are kept, and training stops early if neither network improves.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from softfin.surrogate.training import (
 )
 
 PATIENCE = 4
-"""Number of epochs without a lower held-out error in either network after which training stops."""
+"""Number of epochs after which training stops if the held-out error of neither network improves."""
 
 
 class FitConfig(SurrogateConfig):
@@ -49,7 +49,7 @@ class FitConfig(SurrogateConfig):
     forcenet: NetworkConfig = FORCENET
     """Network from angle and commands to force."""
     epochs: PositiveInt = 12
-    """Maximum number of passes over all windows, during which the learning rate decays to zero
+    """Maximum number of passes over all windows; the learning rate decays to zero over these passes
     (cosine)."""
     batch: PositiveInt = 512
     """Number of windows per update."""
@@ -58,7 +58,7 @@ class FitConfig(SurrogateConfig):
 
 
 class Nets(NamedTuple):
-    """Both networks, or a value for each, such as its loss."""
+    """Both networks, or one value per network, such as the loss."""
 
     posnet: PyTree
     forcenet: PyTree
@@ -71,12 +71,12 @@ def fit_paper(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Surrogate:
-    """Fit both networks to the training logs; resume from the checkpoint in `run_directory`, if
-    any."""
+    """Fit both networks to the training logs; resume from the checkpoint in `run_directory` if
+    there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
-    # All calls have the same number of updates, so that one compiled program runs them all. The
-    # windows left over differ from epoch to epoch, because each epoch has a different order.
+    # All calls have the same number of updates, so that they share one compiled program. The
+    # windows that are left over differ between epochs, because each epoch has a different order.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
@@ -88,8 +88,8 @@ def fit_paper(
 
     while done["epoch"] < config.epochs and done["stale"] < PATIENCE:
         epoch = done["epoch"]
-        # Order and dropout depend only on the seed and the epoch, so a resumed run equals an
-        # uninterrupted one.
+        # Order and dropout depend only on the seed and the epoch, so resumed and uninterrupted runs
+        # are equal.
         shuffled = named_generator(seed, f"fit/epoch/{epoch}").permutation(starts)
         batches = shuffled[: updates * config.batch].reshape(calls, -1, config.batch)
         key = named_key(seed, f"fit/dropout/{epoch}")
@@ -111,8 +111,8 @@ def fit_paper(
             for net, value in zip(Nets._fields, values, strict=True):
                 scalars[f"{part}/{net}_mse"] = float(value)
         record.write(epoch + 1, **scalars)
-        # Saved after the log is written, so that an interrupted epoch is repeated and its log entry
-        # is removed.
+        # Save after writing the log, so that an interrupted epoch is repeated and its log entry is
+        # removed.
         run_directory.save(state, done)
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
 
@@ -120,10 +120,11 @@ def fit_paper(
 def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Return the training and held-out logs, the scaling, and the training windows' first rows.
+    """Return the training and held-out logs, the scaling, and the first rows of the training
+    windows.
 
     Raises:
-        LogError: there are too few logs or rows, or a channel never changes.
+        LogError: If there are too few logs or rows, or a channel never changes.
     """
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)
@@ -166,14 +167,15 @@ class PaperLearner:
             state: State before the updates.
             table: Scaled rows of all training logs, ``(rows, channels)``.
             batches: First rows of the windows, ``(updates, batch)``.
-            key: The epoch's key, for dropout.
+            key: Key of the epoch, for dropout.
         """
 
         def update(
             carry: tuple[Nets, PyTree], batch: Int[Array, "batch"]
         ) -> tuple[tuple[Nets, PyTree], Nets]:
             nets, optimiser = carry
-            # Each window starts one batch per epoch at most, so batch[0] identifies the update.
+            # Each window is the first of at most one batch per epoch, so batch[0] identifies the
+            # update.
             dropout_key = jax.random.fold_in(key, batch[0])
             (_, losses), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(
                 nets, table, batch, dropout_key
@@ -198,7 +200,7 @@ def loss(
     inputs = gather(table[:, :num_inputs], starts, window)
     # The target is the row after the window.
     target = table[starts + window]
-    # With one key for both, networks with similar layers would drop the same units.
+    # With the same key for both networks, similar layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
     angle_error = nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]
     force_error = nets.forcenet(inputs, forcenet_key) - target[:, num_inputs:]
@@ -206,10 +208,10 @@ def loss(
     return losses.posnet + losses.forcenet, losses
 
 
-# A diverged network overflows here; keep_best_nets then stops with its own error message.
+# A diverged network overflows here; keep_best_nets then raises an error.
 @np.errstate(over="ignore", invalid="ignore")
 def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
-    """Return the mean squared error of the scaled outputs for the rows after the first window."""
+    """Return the mean squared error of the scaled outputs in the rows after the first window."""
     channels = (*net.config.channels, *net.config.outputs)
     num_inputs = len(net.config.channels)
     errors = []

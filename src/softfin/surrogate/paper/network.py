@@ -19,8 +19,8 @@ from softfin.core.configuration import Configuration
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
-"""Number of windows per batch in `Network.over_table`: enough for efficient matrix products, and
-few enough for the caches."""
+"""Number of windows per batch in `Network.over_table`: large enough for efficient matrix products,
+and small enough for the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -41,14 +41,14 @@ def abstract(*shape: int) -> Any:
 
 
 class BaseLayer(Configuration):
-    """Base class for layers; it returns its input.
+    """Base class of layers; this layer returns its input.
 
-    Layers process a batch with a few large matrix products, which is faster than mapping a layer of
-    Equinox over the examples.
+    Layers process a batch with a few large matrix products, which is faster than mapping an Equinox
+    layer over the examples.
     """
 
     def shapes(self, example: Shape) -> Shapes:
-        """Return the shapes of the parameters by name, for inputs with the shape `example`."""
+        """Return the shape of each parameter, by name, for inputs with the shape `example`."""
         return {}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch *example"]) -> Array:
@@ -78,15 +78,15 @@ class Conv1D(BaseLayer):
         """
         batch, steps, features = x.shape
         kernel = parameters["kernel"]
-        # Keras's padding "same": an even kernel extends one step further to the right.
+        # As in the padding "same" of Keras, an even kernel extends one step further to the right.
         left = (self.kernel - 1) // 2
         empty = jnp.zeros((features, self.filters), kernel.dtype)
 
         def block(tap: int) -> Array:
             return kernel[tap] if 0 <= tap < self.kernel else empty
 
-        # y[target] = sum over source of x[source] kernel[source - target + left]. Building the
-        # matrix from blocks makes a step of one fin an eighth faster than indexing the kernel.
+        # y[target] = sum over source of x[source] kernel[source - target + left]. A step of one fin
+        # is an eighth faster if the matrix is built from blocks instead of by indexing the kernel.
         def row(source: int) -> list[Array]:
             return [block(source - target + left) for target in range(steps)]
 
@@ -96,13 +96,13 @@ class Conv1D(BaseLayer):
 
 
 class LSTM(BaseLayer):
-    """Long short-term memory (Hochreiter and Schmidhuber 1997). The gates are in Keras's order:
-    input, forget, cell, output."""
+    """Long short-term memory (Hochreiter and Schmidhuber 1997). The order of the gates is the same
+    as in Keras: input, forget, cell, output."""
 
     kind: Literal["lstm"] = "lstm"
     units: PositiveInt
     sequence: bool = False
-    """Whether to return the hidden states of all steps instead of only the last."""
+    """Whether to return the hidden states of all steps instead of only the last step."""
 
     def shapes(self, example: Shape) -> Shapes:
         """Return the shapes of the kernel (features, gates), recurrent kernel (units, gates) and
@@ -112,7 +112,7 @@ class LSTM(BaseLayer):
         return {**kernels, "bias": abstract(gates)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """Compute one matrix product per step, with the input and hidden state combined.
+        """Compute one matrix product per step for the concatenated input and hidden state.
 
         The first step starts from a zero state, so it needs neither the forget gate nor the
         recurrent kernel.
@@ -175,8 +175,8 @@ class Dense(BaseLayer):
 
 
 class Dropout(BaseLayer):
-    """Dropout (Srivastava et al. 2014). `Network.__call__` applies it during training; otherwise
-    the layer returns its input."""
+    """Dropout (Srivastava et al. 2014). `Network.__call__` applies dropout during training;
+    otherwise, the layer returns its input."""
 
     kind: Literal["dropout"] = "dropout"
     rate: float = Field(ge=0, lt=1)
@@ -224,8 +224,8 @@ POSNET = NetworkConfig(
         Dense(units=1, activation="linear"),
     ),
 )
-"""PosNet: predicts the next angle from the last second of commands. 113,601 parameters, as in
-Table I."""
+"""PosNet, which predicts the next angle from the last second of commands. It has 113,601
+parameters, as in Table I."""
 
 FORCENET = NetworkConfig(
     channels=(ANGLE, *COMMAND_COLUMNS),
@@ -239,8 +239,9 @@ FORCENET = NetworkConfig(
         Dense(units=2, activation="linear"),
     ),
 )
-"""ForceNet: predicts the next force from the last second of angles and commands. 129,794
-parameters, as in Table I. The published weights have a second LSTM layer instead of the mean."""
+"""ForceNet, which predicts the next force from the last second of angles and commands. It has
+129,794 parameters, as in Table I. The published weights have a second LSTM layer instead of the
+mean."""
 
 
 class Network(eqx.Module):
@@ -252,7 +253,7 @@ class Network(eqx.Module):
     def __call__(
         self, windows: Float[Array, "batch channels window"], key: PRNGKeyArray | None = None
     ) -> Float[Array, "batch outputs"]:
-        """Map scaled windows to scaled outputs. Dropout is active only if a key is given, in
+        """Map scaled windows to scaled outputs. Dropout is active only if a key is given, as in
         training."""
         x = windows
         for index, (layer, parameters) in enumerate(
@@ -281,8 +282,8 @@ class Network(eqx.Module):
 
     @classmethod
     def create(cls, config: NetworkConfig, key: PRNGKeyArray) -> "Network":
-        """Initialize a network with Keras's defaults: Glorot-uniform kernels, orthogonal recurrent
-        kernels, and a bias of 0."""
+        """Initialize a network with the defaults of Keras: Glorot-uniform kernels, orthogonal
+        recurrent kernels, and biases of 0."""
         draw = {
             "kernel": jax.nn.initializers.glorot_uniform(),
             "recurrent": jax.nn.initializers.orthogonal(),
@@ -295,7 +296,7 @@ class Network(eqx.Module):
             for number, (name, like) in enumerate(shapes.items()):
                 parameters[name] = draw[name](jax.random.fold_in(layer_key, number), like.shape)
             if isinstance(layer, LSTM):
-                # Keras's unit_forget_bias: an LSTM starts by remembering.
+                # As with unit_forget_bias in Keras, the forget gates are initially open.
                 parameters["bias"] = parameters["bias"].at[layer.units : 2 * layer.units].set(1.0)
             layers.append(parameters)
         return cls(config, tuple(layers))
@@ -313,7 +314,7 @@ def gather(
 def _chunk(
     network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]
 ) -> Float[Array, "chunk out"]:
-    # The last chunk is padded with copies of the last window, so that one compiled program runs all
+    # The last chunk is padded with copies of the last window so that one compiled program runs all
     # chunks. `over_table` drops the copies.
     starts = jnp.minimum(
         first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window

@@ -1,10 +1,11 @@
-"""PosNet and ForceNet as a Plant: commands in and readings out at 100 Hz (paper Sec. III-C1).
+"""PosNet and ForceNet as a Plant, from commands to readings at 100 Hz (paper Sec. III-C1).
 
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
-All ticks of an action are computed as one batch per network, because the command is held: PosNet's
-input contains only commands, and ForceNet's adds only angles that PosNet has already predicted.
+All ticks of an action are computed as one batch per network. This is possible because the command
+is held: the input of PosNet contains only commands, and the input of ForceNet adds only angles that
+PosNet has already predicted.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,7 @@ from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 
 class SurrogateState(NamedTuple):
-    """Ticks since the start and the last window of scaled samples, newest last."""
+    """Ticks since the start, and the last window of scaled samples, newest last."""
 
     tick: Int[Array, ""]
     """Time since the start [10 ms]."""
@@ -82,13 +83,13 @@ class Surrogate(eqx.Module):
         """Return the state after the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: the history is too short.
+            LogError: If the history is too short.
         """
         check_history(history, self.memory)
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
         # The state ends with the command before the last row, because the next call of `advance`
-        # appends the command of that row. It also drops the oldest entry before any network sees
-        # it, so a copy of the first command can fill that place.
+        # appends the command of the last row. This call also drops the oldest entry before any
+        # network uses it, so the entry can be a copy of the first command.
         commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
@@ -97,7 +98,7 @@ class Surrogate(eqx.Module):
         self, state: SurrogateState, command: Command, ticks: int
     ) -> tuple[SurrogateState, Reading]:
         """Hold the command for `ticks` samples, computed as one batch per network; raises
-        CommandError for a command outside the limits."""
+        CommandError if the command is outside the limits."""
         check_commands(self.limits, command)
         return self._held(state, command, ticks, ticks)
 
@@ -110,9 +111,9 @@ class Surrogate(eqx.Module):
     def _held(
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
-        """Return readings with a fixed number of rows, of which the first `ticks` are valid."""
-        # Window k ends with the k-th held command and the angle at which it was issued. From it the
-        # networks predict the angle and force one sample later.
+        """Return readings with a fixed number of rows; the first `ticks` rows are valid."""
+        # Window k ends with the k-th held command and the angle at which it was issued. From this
+        # window, the networks predict the angle and force one sample later.
         #
         # With w = window and n = rows, the shapes are: commands (2, w + n), passed (n, 2, w),
         # angles (w + n), motion (n, 3, w).
@@ -126,7 +127,7 @@ class Surrogate(eqx.Module):
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
         time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
-        # The new state is the window that ends at the last valid row.
+        # The new state contains the window that ends at the last valid row.
         commands = jax.lax.dynamic_slice_in_dim(commands, ticks, self.window, -1)
         angles = jax.lax.dynamic_slice_in_dim(angles, ticks, self.window, -1)
         return SurrogateState(state.tick + ticks, commands, angles), reading
@@ -148,7 +149,7 @@ class Surrogate(eqx.Module):
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
         """Return ForceNet's predictions for the rows of a log after the first window [N].
 
-        Its input is the measured angle, or PosNet's prediction if `free_running` is set.
+        The input is the measured angle, or the angle predicted by PosNet if `free_running` is set.
         """
         table = self.scaling.table((ANGLE, *COMMAND_COLUMNS), log)
         if free_running:
@@ -157,7 +158,7 @@ class Surrogate(eqx.Module):
         return np.asarray(self.scaling.physical(FORCES, self.forcenet.over_table(table)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Predict logs with PosNet, and with ForceNet from both measured and predicted angles."""
+        """Predict logs with PosNet, and with ForceNet from measured and from predicted angles."""
         window = self.window
         posnet = self.posnet.config.parameters()
         forcenet = self.forcenet.config.parameters()
@@ -205,7 +206,7 @@ class Surrogate(eqx.Module):
         """Build the surrogate from the result of `to_files`.
 
         Raises:
-            ArtifactError: channels or weights do not match the networks.
+            ArtifactError: If channels or weights do not match the networks.
         """
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)

@@ -1,4 +1,4 @@
-"""Streaming ensembles as an architecture of surrogates."""
+"""Streaming ensembles as a surrogate architecture."""
 
 from softfin.surrogate.protocol import Architecture
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming

@@ -1,16 +1,16 @@
-"""The members of an ensemble (each a drive network and a force network in series), their
-predictions for logs, and their error estimates.
+"""The members of an ensemble, their predictions for logs, and their error estimates. Each member is
+a drive network followed by a force network.
 
 The interval for the mean force is computed by split conformal prediction (Lei et al. 2018, J. Am.
-Stat. Assoc. 113:1094): errors on held-out logs are divided by the error expected from the members'
-spread, and a quantile of these ratios scales the interval. All errors on one log and axis share its
-drift, so K logs contain only slightly more than 2 K independent errors. The quantile is therefore
-multiplied by the ratio of the Student's t quantile with 2 K degrees of freedom to the normal
-quantile. The coverage is not guaranteed, because the same logs were used to choose each member's
-weights from up to ten candidates.
+Stat. Assoc. 113:1094): errors on held-out logs are divided by the error expected from the spread of
+the members, and a quantile of these ratios scales the interval. All errors on one log and axis
+share the same drift, so K logs contain only slightly more than 2 K independent errors. The quantile
+is therefore multiplied by the ratio of the Student's t quantile with 2 K degrees of freedom to the
+normal quantile. The coverage is not guaranteed, because the same logs were used to choose the
+weights of each member from up to ten candidates.
 
 The distance of a motion from the training data is the Mahalanobis distance (Lee et al. 2018,
-NeurIPS), measured in the memory of a force network, which depends on the recent motion.
+NeurIPS) of the memory of a force network, which depends on the recent motion.
 """
 
 import functools
@@ -52,11 +52,11 @@ MEMORY_LOGS = 50
 """Maximum number of training logs used to define the distance."""
 
 EVERY = 7
-"""Interval between the samples taken from these logs [ticks]."""
+"""Interval between the samples used from these logs [ticks]."""
 
 
 class MemberState(NamedTuple):
-    """States of a member's two networks."""
+    """States of the two networks of a member."""
 
     drive: FollowingState
     force: ForceState
@@ -101,7 +101,7 @@ def single(members: PyTree, index: int | Array = 0) -> Any:
 
 
 def parameters(module: eqx.Module) -> int:
-    """Return the number of parameters trained on or identified from logs."""
+    """Return the number of parameters that are trained on or identified from logs."""
     return sum(leaf.size for leaf in jax.tree.leaves(module))
 
 
@@ -139,8 +139,8 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     """
 
     def predict(some: Sequence[Log]) -> Motion:
-        # The commands before a log were not recorded. The first command is assumed to have been
-        # held for longer than MAX_DELAY.
+        # Commands before the start of a log were not recorded. Assume that the first command has
+        # been held for longer than MAX_DELAY.
         command, reading = jax.tree.map(
             lambda *x: np.stack(x).astype(np.float32),
             *((log.command, log.reading) for log in some),
@@ -158,7 +158,7 @@ def predict_force(
     """Predict the forces for motions ``(members, rows)``.
 
     A force depends on the change since the previous row, so the first row gets the force of the
-    second.
+    second row.
     """
 
     def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
@@ -173,7 +173,7 @@ def _together(
 ) -> list[Any]:
     """Predict all records of equal length together, stacked on the second axis."""
     results: list[PyTree] = [None] * len(rows)
-    # The prediction is compiled once for each length.
+    # The prediction is compiled once per length.
     for length in set(rows):
         index = np.flatnonzero(np.equal(rows, length)).tolist()
         predicted = jax.tree.map(np.asarray, predict([records[i] for i in index]))
@@ -208,18 +208,18 @@ class Interval(Configuration):
     coverage: float = Field(gt=0, lt=1)
     """Target fraction of mean forces inside the interval [-]."""
     factor: float = Field(gt=0)
-    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, enlarged to allow for
-    their small number [-]."""
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, increased because there
+    are few logs [-]."""
     floor_n: float = Field(gt=0)
-    """Root mean square error of the ensemble's mean on the held-out logs [N]. It contains noise,
-    drift, and the error that all members have in common."""
+    """Root mean square error of the ensemble mean on the held-out logs [N]. It includes noise,
+    drift and the error common to all members."""
     windows: int = Field(ge=1)
-    """Number of mean forces used for the calibration, over both axes."""
+    """Number of mean forces used for the calibration, counting both axes."""
     logs: int = Field(ge=1)
-    """Number of held-out logs from which these mean forces come."""
+    """Number of held-out logs from which these mean forces are taken."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """Return the half width of the interval [N], given the mean force of each member."""
+        """Return the half-width of the interval [N] for the mean force of each member."""
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
     def caveat(self) -> str | None:
@@ -247,11 +247,11 @@ def calibrated(
     error = np.abs(means.mean(axis=0) - measured)
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
-    # A new error and the n known errors are exchangeable, so its quantile is that of the known
-    # errors at COVERAGE (n + 1) / n.
+    # A new error and the n known errors are exchangeable, so the quantile of the new error is the
+    # quantile of the known errors at COVERAGE (n + 1) / n.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
-    # Errors on one log and axis are correlated, because they share its drift. The factor is
+    # Errors on one log and axis are correlated because they share the same drift. The factor is
     # multiplied by the ratio of the two-sided quantiles, t(2 K) / z.
     upper = (1 + COVERAGE) / 2
     widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
@@ -261,7 +261,7 @@ def calibrated(
 
 
 class Familiarity(eqx.Module):
-    """Distribution of the first member's force-network memory over the training data."""
+    """Distribution of the force-network memory of the first member over the training data."""
 
     mean: Float[Array, "remembered"]
     """Mean of the memory [-]."""
@@ -275,7 +275,7 @@ class Familiarity(eqx.Module):
 
 
 def remembered(state: ForceState) -> Float[Array, "remembered"]:
-    """Return the memory of a force network as one vector, for `Familiarity.distance`."""
+    """Return the memory of a force network as one vector for `Familiarity.distance`."""
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
@@ -285,10 +285,10 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     Args:
         nets: Force networks of all members; the first one is used.
         motion: Predicted motion of each log, with fields ``(members, rows)``.
-        burn_in: Rows at the start of a log to skip.
+        burn_in: Number of rows to skip at the start of each log.
     """
     long_enough = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1]
-    # Consecutive samples are almost equal, so only some are used.
+    # Consecutive samples are almost equal, so only some of them are used.
     memories = [
         np.asarray(_memories(single(nets), each))[burn_in::EVERY]
         for each in long_enough[:MEMORY_LOGS]
@@ -297,8 +297,8 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     # With the covariance V diag(s) V^T, the Mahalanobis distance is |(m - mean) V / sqrt(s)|.
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
-    # Without the lower bound, rounding errors in a direction without variation would count as a
-    # large distance.
+    # Without the lower bound, rounding errors in a direction without variation would cause a large
+    # distance.
     whitening = vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))
     far = np.quantile(np.linalg.norm((memory - mean) @ whitening, axis=1), RARE)
     return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))

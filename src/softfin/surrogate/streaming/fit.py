@@ -1,5 +1,5 @@
-"""Fits a streaming surrogate, in this order: profile, drive networks, force networks, error
-estimates.
+"""Fits a streaming surrogate: first the profile, then the drive networks, the force networks and
+the error estimates.
 
 All members are trained together. Force networks are trained and scored on the motion that the drive
 networks predict for complete logs, because a surrogate predicts forces from commands alone.
@@ -51,7 +51,7 @@ from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best_nets
 
 WARM_UP = 100
-"""Maximum number of updates over which the learning rate rises to its peak."""
+"""Maximum number of updates during which the learning rate rises to its peak."""
 
 MAX_SCORINGS = 10
 """Maximum number of times a network is scored on the held-out logs during training."""
@@ -59,13 +59,13 @@ MAX_SCORINGS = 10
 NetLoss = Callable[
     [Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
 ]
-"""Loss of one member: (net, segments, predicted motion, completed fraction of training, key,
-config)."""
+"""Loss function of one member; its arguments are (net, segments, predicted motion, completed
+fraction of training, key, config)."""
 
 
 class StreamingConfig(SurrogateConfig):
-    """Configuration of the fit of a streaming ensemble; docs/appendix/surrogates.md contains the
-    measurements behind the defaults."""
+    """Configuration for fitting a streaming ensemble; docs/appendix/surrogates.md contains the
+    measurements on which the defaults are based."""
 
     model: ClassVar[str] = StreamingSurrogate.model
 
@@ -77,22 +77,22 @@ class StreamingConfig(SurrogateConfig):
     """Number of ensemble members. Each starts from different weights and is trained on different
     segments."""
     drive_updates: PositiveInt = 400
-    """Number of drive-network updates, over which the learning rate decays to a hundredth of its
-    peak (cosine)."""
+    """Number of updates of the drive networks, during which the learning rate decays to a hundredth
+    of its peak (cosine)."""
     force_updates: PositiveInt = 2000
-    """Number of force-network updates, with the same schedule."""
+    """Number of updates of the force networks, with the same schedule."""
     batch: PositiveInt = 16
     """Number of log segments per update and member."""
     ticks: int = Field(default=250, ge=2)
     """Length of a segment [10 ms]; gradients are propagated through all of it."""
     burn_in: int = Field(default=80, ge=0)
-    """Number of ticks at the start of a segment without a loss, because the motion before it is
-    unknown."""
+    """Number of ticks at the start of a segment that are excluded from the loss, because the motion
+    before the segment is unknown."""
     learning_rate: float = Field(default=0.01, gt=0)
     """Peak learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
     """Start and end of the transition from measured to predicted motion as input to the force
-    networks, as fractions of their training."""
+    networks, as fractions of the training."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":
@@ -108,7 +108,7 @@ class StreamingConfig(SurrogateConfig):
 class _MemberState(NamedTuple):
     number: int
     motion: Motion
-    """Motion predicted by the member's drive network."""
+    """Motion predicted by the drive network of the member."""
     nets: PyTree
     optimiser: PyTree
     loss: np.floating
@@ -142,12 +142,12 @@ class StreamingLearner:
         calls: Sequence[tuple[int, int]],
         key: PRNGKeyArray,
     ) -> Iterator[tuple[TrainingState, Float[np.ndarray, "members"]]]:
-        """Yield the state and each member's mean loss after each call.
+        """Yield the state and the mean loss of each member after each call.
 
-        A call is the number of its first update and the number of its updates.
+        A call consists of the index of its first update and the number of updates.
         """
-        # One program for all members would be slower: its products are batches of small products,
-        # which XLA computes slowly on a CPU.
+        # One program for all members would be slower, because XLA is slow at batches of small
+        # matrix products on a CPU.
         arrays = jax.tree.map(np.asarray, (state.nets, state.optimiser, predicted))
         starts = []
         for number in range(self.config.members):
@@ -189,7 +189,7 @@ class StreamingLearner:
 
         def update(carry: PyTree, number: Int[Array, ""]) -> Any:
             net, optimiser = carry
-            # Keys depend only on the update number, so a resumed run equals an uninterrupted one.
+            # Keys depend only on the update number, so resumed and uninterrupted runs are equal.
             keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
             draw, loss_key = jax.random.split(keys[member])
             segments = table.draw(draw, self.config.batch, self.config.ticks)
@@ -205,7 +205,7 @@ class StreamingLearner:
 
 
 def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
-    """Return the sum of the squared angle and velocity errors, in units of their scales."""
+    """Return the sum of the squared angle and velocity errors, each divided by its scale."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
     return angle**2 + velocity**2
@@ -237,9 +237,10 @@ def force_loss(
     """Return the mean squared error of the scaled force, summed over both axes.
 
     The input is the measured motion of a segment or the motion predicted by the drive network. The
-    probability of the latter rises from 0 to 1 over the `free_running` part of the training.
+    probability of the predicted motion rises from 0 to 1 over the `free_running` part of the
+    training.
     """
-    # Scheduled sampling: by the end of training, the input is predicted motion, as in use.
+    # Scheduled sampling: at the end of training, the input is the predicted motion, as during use.
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
     free = jax.random.bernoulli(key, share, (config.batch, 1))
@@ -255,8 +256,8 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory`, if
-    any."""
+    """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory` if there
+    is one."""
     training, holding, scales, table = split_streaming(logs, config)
     start = jit("none")(ensemble)
     members = start(
@@ -285,7 +286,7 @@ def fit_streaming(
     record = run_directory.log(rewind_to=sum(done.values()))
 
     def learn(name: str, predicted: Motion, errors: Callable[[PyTree], list[np.ndarray]]) -> Any:
-        """Run all updates of one kind of network and return each member's best weights.
+        """Run all updates of one kind of network and return the best weights of each member.
 
         `errors` returns the squared errors on each held-out log, ``(members, rows)``.
         """
@@ -305,12 +306,12 @@ def fit_streaming(
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
                     progress("fit", part, text)
-            # A diverged network overflows here; keep_best_nets then stops with its own message.
+            # A diverged network overflows here; keep_best_nets then raises an error.
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
             states[name], _ = keep_best_nets(state, losses, held_out, f"{name} networks")
             done[name] = until
-            # The sum over two channels: force (x, y), or scaled angle and velocity.
+            # Sum over two channels: force (x, y), or scaled angle and velocity.
             error = float(np.sqrt(held_out.mean() / 2))
             unit = " N" if name == "force" else ""
             text = f"{name} networks, error {error:.2g}{unit} in held-out logs"
@@ -353,10 +354,10 @@ def fit_streaming(
 def split_streaming(
     logs: Sequence[Log], config: StreamingConfig
 ) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Return the training logs, the held-out logs, and the training logs' scales and table.
+    """Return the training logs, the held-out logs, and the scales and table of the training logs.
 
     Raises:
-        LogError: there are too few logs or rows, or a channel never changes.
+        LogError: If there are too few logs or rows, or a channel never changes.
     """
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + PAPER_CLOCK.window_ticks
@@ -371,7 +372,7 @@ def split_streaming(
 
 
 def _calls(updates: int) -> tuple[int, int]:
-    """Return the number of updates per call, and between two scorings.
+    """Return the number of updates per call and between two scorings.
 
     All calls except the last have the same length, so that they share one compiled program.
     """

@@ -1,9 +1,9 @@
-"""The networks of one fin, which advance one tick at a time: the drive network (commands to motion)
-and the force network (motion to force).
+"""The drive network (commands to motion) and the force network (motion to force) of one fin; both
+advance one tick at a time.
 
-A fin is symmetric about the plane y = 0. Under this mirror, the angle, angular velocity and y force
-change sign (odd quantities), while the x force and speeds do not (even quantities). The recurrent
-core of both networks has this symmetry by construction.
+A fin is symmetric about the plane y = 0. A reflection in this plane changes the sign of the angle,
+the angular velocity and the y force (odd quantities), but not of the x force and speeds (even
+quantities). The recurrent core of both networks has this symmetry by construction.
 """
 
 from typing import NamedTuple
@@ -20,13 +20,13 @@ from softfin.surrogate.streaming.profile import Profile, ProfileState
 from softfin.surrogate.streaming.segments import Motion, Scales
 
 SLOWEST = 60.0
-"""Longest initial time constant of the gates [ticks]. The shortest is 2, so that the memory covers
-both ripples and strokes."""
+"""Longest initial time constant of the gates [ticks]. The shortest is 2, so the memory covers both
+ripples and strokes."""
 
 
 class Parity(NamedTuple):
-    """Sizes, inputs, outputs or memory, split into parts that the mirror leaves unchanged (even)
-    and parts whose sign it changes (odd)."""
+    """Sizes, inputs, outputs or memory, split into parts that the reflection leaves unchanged
+    (even) and parts whose sign it changes (odd)."""
 
     even: PyTree
     odd: PyTree
@@ -36,8 +36,8 @@ class MirrorCore(eqx.Module):
     """A mirror-symmetric gated recurrent unit, h' = h + u (c - h), with gates u and candidates c.
 
     Odd candidates are odd functions of odd inputs. The gates, the even candidates and the factors
-    of the odd candidates are functions of the even inputs and of the `magnitude` of mixtures of odd
-    inputs. Mirrored inputs therefore produce exactly mirrored outputs.
+    of the odd candidates depend on the even inputs and the `magnitude` of mixtures of odd inputs.
+    Mirrored inputs therefore produce exactly mirrored outputs.
     """
 
     odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
@@ -58,14 +58,14 @@ class MirrorCore(eqx.Module):
         self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
         self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
         # sigmoid(bias) = 1 / T for a time constant of T ticks, so bias = -log(T - 1). The order is
-        # random, so that even and odd memory get time constants from the same range.
+        # random so that even and odd memory have time constants in the same range.
         gates = jax.random.permutation(
             keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1)
         )
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
-        # All outputs start at zero, so that training starts from the physical model alone.
+        # All outputs start at zero so that training starts from the physical model alone.
         self.even_out = jnp.zeros((hidden, outputs.even))
         self.odd_out = jnp.zeros((units, outputs.odd))
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
@@ -85,7 +85,7 @@ class MirrorCore(eqx.Module):
         return memory, self.read(memory, sizes)
 
     def read(self, memory: Parity, sizes: Float[Array, "units"]) -> Parity:
-        """Return the outputs for a new memory and the magnitudes of its mixtures."""
+        """Return the outputs for a new memory and the magnitudes of the mixtures."""
         hidden = jnp.tanh(jnp.concatenate([memory.even, sizes]) @ self.hidden_in + self.hidden_bias)
         # The odd outputs are linear in the odd memory, with weights that depend on the even part.
         factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, self.units)
@@ -118,8 +118,8 @@ def magnitude(x: Array) -> Array:
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
     """Draw a matrix with entries of variance 1 / (2 inputs).
 
-    A variance of 1 / inputs would preserve the signal variance. It is lower here, because all
-    memory is fed back.
+    A variance of 1 / inputs would preserve the signal variance. The variance is lower here because
+    all memory is fed back.
     """
     # A uniform distribution on [-r, r] has variance r^2 / 3.
     reach = jnp.sqrt(1.5 / inputs)
@@ -159,7 +159,7 @@ class FollowingNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
-        """Return the state for a motion and the commands of the last `MAX_DELAY` ticks, newest
+        """Return the state for a motion and the commands in the last `MAX_DELAY` ticks, newest
         first."""
         return FollowingState(
             jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
@@ -168,8 +168,8 @@ class FollowingNet(eqx.Module):
     def step(self, state: FollowingState, command: Command) -> FollowingState:
         """Advance by one tick under a command; the new state contains the new motion of the
         shaft."""
-        # The profile has already been identified and is not trained, because its corners produce
-        # poor gradients.
+        # The profile is already identified and is not trained, because its corners cause poor
+        # gradients.
         fixed: Profile = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
         before = fixed.shaft(state.profile.motion)
@@ -182,8 +182,8 @@ class FollowingNet(eqx.Module):
         memory, outputs = self.core.step(
             state.memory, Parity((target.velocity / velocity)[None], odd)
         )
-        # The network's output is a correction in units of the scales: 1 moves the shaft by the
-        # distance of one tick at the typical velocity.
+        # The network output is a correction in units of the scales: 1 is the shaft motion of one
+        # tick at the typical velocity.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(
             profile, memory, Motion(angle, now.velocity + change * outputs.odd[1])
@@ -198,8 +198,8 @@ class ForceNetConfig(Configuration):
     hidden: PositiveInt = 32
     """Number of units in the layer between memory and force."""
     wake: int = Field(default=4, ge=0, le=64)
-    """Number of wake vectors, which are fixed in the tank's axes. Their initial time constants are
-    0.05 to 1.5 s."""
+    """Number of wake vectors, which are fixed in tank axes. Their initial time constants are 0.05
+    to 1.5 s."""
 
 
 class ForceState(NamedTuple):
@@ -214,10 +214,10 @@ class ForceState(NamedTuple):
 class ForceNet(eqx.Module):
     """The force network of one fin, without batch axes.
 
-    In the frame that rotates with the shaft, the angle has no effect, because still water looks the
-    same in all directions. The inputs of the network are therefore only rates, and its outputs are
-    the force along the fin's axis (thrust, even) and across it (odd). The wake, which does not
-    rotate with the fin, is represented by a few vectors that are rotated back at each tick.
+    In the frame that rotates with the shaft, the angle has no effect, because still water is the
+    same in all directions. The inputs of the network are therefore only rates, and the outputs are
+    the force along the fin axis (thrust, even) and across it (odd). The wake, which does not rotate
+    with the fin, is represented by a few vectors that are rotated back at each tick.
     """
 
     core: MirrorCore
@@ -226,14 +226,14 @@ class ForceNet(eqx.Module):
     across: Float[Array, "wake_source wake"]
     """Weights from the odd memory to the component of the wake across the fin."""
     log_time: Float[Array, "wake"]
-    """Natural logarithm of the wake's time constants in seconds."""
+    """Natural logarithm of the time constants of the wake in seconds."""
     thrust: Float[Array, "2"]
     """Coefficients of the force along the fin: velocity squared, and velocity times its change."""
     resistance: Float[Array, "3"]
     """Coefficients of the force across the fin: change of velocity (added mass), velocity times
     speed (drag), and velocity (friction)."""
     mount_turn: Float[Array, ""]
-    """Angle of the sensor relative to the tank's axes [rad]."""
+    """Angle of the sensor relative to the tank axes [rad]."""
     offset: Float[Array, "2"]
     """Reading of the sensor at zero force, divided by the force scale [-]."""
     config: ForceNetConfig = eqx.field(static=True)
@@ -261,7 +261,7 @@ class ForceNet(eqx.Module):
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
         """Advance to a new motion of the shaft and predict the force reading (x, y) [N]."""
         rates = self.rates(state.motion, motion)
-        # In the frame of the fin, the wake rotates in the opposite direction to the fin.
+        # In the frame of the fin, the wake rotates in the direction opposite to the fin.
         turn = state.motion.angle - motion.angle
         wake = rotate(state.wake, jnp.cos(turn), jnp.sin(turn))
         memory, outputs = self.core.step(
@@ -272,8 +272,8 @@ class ForceNet(eqx.Module):
         return ForceState(memory, relax(wake, pushed, self.kept()), motion), force
 
     def rates(self, before: Motion, motion: Motion) -> Float[Array, "*shape 3"]:
-        """Return velocity, change of velocity and drag, in units of `scales`, for two successive
-        motions ``(*shape,)``."""
+        """Return the velocity, the change of velocity and the drag, in units of `scales`, for two
+        successive motions ``(*shape,)``."""
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - before.velocity) / self.scales.change_rad_s
         return jnp.stack([velocity, change, velocity * jnp.abs(velocity)], axis=-1)
@@ -281,9 +281,9 @@ class ForceNet(eqx.Module):
     def force(
         self, outputs: Parity, rates: Float[Array, "3"], angle: Float[AnyArray, ""]
     ) -> Float[Array, "2"]:
-        """Return the force reading (x, y) for the outputs of the core [N]."""
+        """Return the force reading (x, y) for the core outputs [N]."""
         # Morison's equation for a moving body: thrust and drag are proportional to the square of
-        # the velocity, the added-mass force to its change.
+        # the velocity, and the added-mass force to the change of velocity.
         velocity, change, drag = rates
         along = outputs.even[0] + self.thrust @ jnp.stack([velocity**2, velocity * change])
         across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
@@ -307,7 +307,8 @@ def relax(wake: Parity, pushed: Parity, kept: Float[Array, "wake"]) -> Parity:
 
 
 def rotate(vector: Parity, cos: Array, sin: Array) -> Parity:
-    """Rotate components along and across a fin at an angle, given by its cosine and sine, into the
-    axes in which the angle is measured: x + y = along (cos, -sin) + across (sin, cos)."""
+    """Rotate the components along and across a fin into the axes in which its angle is measured:
+    (x, y) = along * (cos, -sin) + across * (sin, cos), where cos and sin belong to the angle of the
+    fin."""
     along, across = vector
     return Parity(along * cos + across * sin, across * cos - along * sin)

@@ -1,7 +1,7 @@
 """The trapezoidal profile of a positioning drive, with coefficients identified from logs.
 
 The equations of the profile are in `softfin.tank.drive`. CMA-ES minimizes the mean absolute angle
-error, which limits the influence of strokes that the profile cannot explain.
+error, because strokes that the profile cannot explain then have little influence.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,8 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch
 from softfin.tank.drive import delay_weights, delayed, next_velocity
 
 STEPS_PER_TICK = 2
-"""Number of integration steps per tick; the times of corners between ticks are accurate to 5 ms."""
+"""Number of integration steps per tick; the times of profile corners between ticks are accurate to
+5 ms."""
 
 SEGMENTS = 48
 """Number of log segments from which the coefficients are identified."""
@@ -57,7 +58,7 @@ class Profile(eqx.Module):
     delay: Float[Array, ""] = _coefficient(0.0)
     """Delay from a command to its first effect, at most `MAX_DELAY` [10 ms]."""
     velocity_factor: Float[Array, ""] = _coefficient(1.0)
-    """Ratio of the profile's velocity to the commanded velocity [-]."""
+    """Ratio of the profile velocity to the commanded velocity [-]."""
     velocity_limit: Float[Array, ""] = _coefficient(100.0)
     """Maximum velocity of the profile [rad/s]."""
     acceleration: Float[Array, ""] = _coefficient(100.0)
@@ -73,7 +74,7 @@ class Profile(eqx.Module):
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
         """Advance by one tick under a new command; also return the command in effect, converted to
-        measured angles and the velocity of the profile."""
+        a measured angle and a profile velocity."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         target = self.target(delayed(queue, self.delay))
         after = self.follow(state.motion, target)
@@ -81,7 +82,7 @@ class Profile(eqx.Module):
         return ProfileState(after, waiting), target
 
     def target(self, obeyed: Command) -> Command:
-        """Convert the command in effect to measured angles and the velocity of the profile."""
+        """Convert the command in effect to a measured angle and a profile velocity."""
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
         return Command(self.gain * obeyed.angle + self.zero, speed)
 
@@ -110,14 +111,14 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     speed = max(np.abs(log.reading.velocity).max() for log in logs)
     change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
-    # The initial acceleration: a high value among those that are not merely noise at constant
+    # Initial acceleration: a high percentile of the values that are not merely noise at constant
     # velocity.
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
 
     def search(start: int) -> Any:
         # Start from an ideal drive with a delay of 2 or 3 ticks and the maximum velocity of the
-        # logs. The error has local minima at many delays: one search in five ends at a wrong one,
-        # so several searches run, the last two with a larger initial step size.
+        # logs. The error has local minima at many delays, and one search in five ends at a wrong
+        # delay. Several searches are therefore run, the last two with a larger initial step size.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
@@ -140,8 +141,8 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     The search uses the logarithms of gain, factor, limit and acceleration, which must be positive,
     and the absolute values of delay and lag.
     """
-    # The factors set the step size of each coefficient. That of the velocity limit is small,
-    # because a limit above all commands has no effect and a search would get lost there.
+    # The factors set the step size of each coefficient. The step size of the velocity limit is
+    # small, because a limit above all commands has no effect and would mislead the search.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
         jnp.exp(0.1 * gain),
@@ -163,7 +164,7 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
 
     def one(segment: SegmentBatch) -> Float[Array, ""]:
         # The delay is applied to all commands before the loop over the ticks, because one large
-        # product takes less time than a queue of commands within the loop.
+        # product is faster than a queue of commands within the loop.
         oldest_first = jax.tree.map(jnp.flip, segment.waiting)
         history = jax.tree.map(lambda *x: jnp.concatenate(x), oldest_first, segment.commands)
         targets = profile.target(jax.tree.map(lambda channel: channel[rows] @ weights, history))

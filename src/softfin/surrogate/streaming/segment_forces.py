@@ -1,11 +1,10 @@
-"""Forces of a batch of segments, with a gradient that is cheap to compute; used to train force
-networks.
+"""Forces in a batch of segments, with an efficient gradient; used to train force networks.
 
 The loop over the ticks contains only the memory and the wake. The rates of the motion are computed
-before it, and the forces after it. The gradient of a matrix is the sum over all ticks of x^T d,
-where x is the input of its product and d the gradient of the result. Automatic differentiation
-computes these small matrices one by one and adds them. Here the loop returns d for all ticks, and
-one large product replaces the sum.
+before the loop, and the forces after it. The gradient with respect to a matrix is the sum over all
+ticks of x^T d, where x is the vector that the matrix multiplies and d is the gradient with respect
+to the product. Automatic differentiation computes these small matrices one by one and adds them.
+Here, the loop returns d for all ticks, and one large product replaces the sum.
 """
 
 from collections.abc import Callable
@@ -28,7 +27,7 @@ from softfin.surrogate.streaming.segments import Motion
 
 
 class Products(NamedTuple):
-    """One array for each product in the loop: its matrix, its input or its result."""
+    """One array for each matrix product in the loop: the matrix, the input or the result."""
 
     mixed: Float[Array, "*mixed"]
     """Odd candidates and mixtures; inputs: odd memory and wake."""
@@ -44,8 +43,8 @@ class LoopTerms(NamedTuple):
     """Arguments of the loop that depend only on the motion, ``(ticks, batch, ...)``."""
 
     added: Products
-    """Terms that are added to the results of the products. The gradient with respect to a term is
-    the gradient with respect to the result."""
+    """Terms that are added to the products. The gradient with respect to a term is equal to the
+    gradient with respect to the product."""
     cos: Float[Array, "ticks batch 1"]
     """Cosine of the angle by which the wake rotates in the frame of the fin."""
     sin: Float[Array, "ticks batch 1"]
@@ -75,7 +74,7 @@ Residuals: TypeAlias = tuple[Callable[[Recording], Any], Recording]
 def segment_forces(net: ForceNet, motion: Motion) -> Float[Array, "batch ticks 2"]:
     """Predict the forces for all rows of the motions ``(batch, 1 + ticks)`` except the first [N].
 
-    The results are those of `softfin.surrogate.streaming.ensemble.forces` for each motion.
+    The results are equal to `softfin.surrogate.streaming.ensemble.forces` for each motion.
     """
     by_tick = jax.tree.map(jnp.transpose, motion)
     before = jax.tree.map(lambda x: x[:-1], by_tick)
@@ -121,8 +120,8 @@ def _loop(matrices: Products, kept: Float[Array, "wake"], terms: LoopTerms) -> R
     no_memory = jnp.zeros((batch, matrices.along.shape[0]))
     still = jnp.zeros((batch, kept.size))
     start = LoopState(Parity(no_memory, no_memory), Parity(still, still))
-    # For the gradient, the values within a tick are computed again, which takes less time than to
-    # store and load them.
+    # For the gradient, the values within a tick are recomputed, which is faster than storing and
+    # loading them.
     recording: Recording = jax.lax.scan(jax.checkpoint(step, prevent_cse=False), start, terms)[1]
     return recording
 
@@ -130,7 +129,7 @@ def _loop(matrices: Products, kept: Float[Array, "wake"], terms: LoopTerms) -> R
 def _forward(
     matrices: Products, kept: Float[Array, "wake"], terms: LoopTerms
 ) -> tuple[Recording, Residuals]:
-    """Run the loop, and differentiate it as if the matrices were constants."""
+    """Run the loop and differentiate it as if the matrices were constants."""
     recording, pull = jax.vjp(partial(_loop, matrices), kept, terms)
     return recording, (pull, recording)
 

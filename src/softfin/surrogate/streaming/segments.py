@@ -1,5 +1,5 @@
-"""The training data of streaming networks: logs as one table on the device, random segments of it,
-and the scales of its channels."""
+"""The training data of streaming networks: logs as one table on the device, random segments of this
+table, and the scales of its channels."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -29,24 +29,24 @@ class Motion(NamedTuple):
 
 
 class Scales(Configuration):
-    """Scales by which the networks' inputs and outputs are divided, computed from the training
+    """Scales by which inputs and outputs of the networks are divided, computed from the training
     logs."""
 
     velocity_rad_s: float = Field(gt=0)
-    """Standard deviation of the shaft's velocity [rad/s]."""
+    """Standard deviation of the shaft velocity [rad/s]."""
     change_rad_s: float = Field(gt=0)
     """Standard deviation of the tick-to-tick change in velocity [rad/s]."""
     force_n: float = Field(gt=0)
     """Root mean square of the force on both axes [N]."""
     angle_rad: float = Field(gt=0)
-    """Standard deviation of the shaft's angle [rad]."""
+    """Standard deviation of the shaft angle [rad]."""
 
 
 def measure_scales(logs: Sequence[Log]) -> Scales:
     """Compute the scales of the training logs.
 
     Raises:
-        LogError: a channel never changes.
+        LogError: If a channel never changes.
     """
     readings = [log.reading for log in logs]
     joined = jax.tree.map(lambda *x: np.concatenate(x, dtype=np.float64), *readings)
@@ -88,16 +88,16 @@ class Table(NamedTuple):
     motion: Motion
     force: Float[Array, "rows 2"]
     starts: Int[Array, "choices"]
-    """Rows at which a segment can start and lie entirely within one log."""
+    """Rows at which a segment can start so that it lies entirely within one log."""
 
     @classmethod
     def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
         """Build the table for segments of `ticks` ticks.
 
         Raises:
-            LogError: no log is long enough for a segment.
+            LogError: If no log is long enough for a segment.
         """
-        # A segment needs MAX_DELAY earlier rows for the commands that have no effect yet at its
+        # A segment needs MAX_DELAY earlier rows for the commands that have not taken effect at its
         # start.
         rows = [log.rows for log in logs]
         choices = window_starts(rows, ticks, MAX_DELAY)

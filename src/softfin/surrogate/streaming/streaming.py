@@ -1,4 +1,4 @@
-"""An ensemble of streaming networks as a `Plant`: commands in, readings out at 100 Hz, with error
+"""An ensemble of streaming networks as a `Plant`, from commands to readings at 100 Hz, with error
 estimates."""
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 SETTLED = 3000
-"""Duration of the rest before `init` [ticks], 20 times the longest initial time constant of the
+"""Duration of the rest before `init` [ticks]: 20 times the longest initial time constant of the
 wake."""
 
 SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
@@ -68,7 +68,7 @@ class StreamingSurrogate(eqx.Module):
     """Range of the commands in the training data; the networks extrapolate outside it."""
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
-    """Names of the fields that are computed from the others."""
+    """Names of the fields that are computed from other fields."""
     model: ClassVar[str] = "streaming"
     memory: ClassVar[int] = 300
     """Number of rows of a log that `warm` needs: the duration of a stroke at the paper's lowest
@@ -94,8 +94,8 @@ class StreamingSurrogate(eqx.Module):
 
     @property
     def mean_force_noise_n(self) -> float:
-        """Root mean square error of the mean force on the held-out logs [N]: noise, drift, and the
-        error of the fit."""
+        """Root mean square error of the mean force on the held-out logs [N], due to noise, drift
+        and the fit."""
         return self.interval.floor_n
 
     def init(self, key: PRNGKeyArray) -> StreamingState:
@@ -107,7 +107,7 @@ class StreamingSurrogate(eqx.Module):
         """Return the state after a free run over the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: the history is too short.
+            LogError: If the history is too short.
         """
         check_history(history, self.memory)
         command, reading = jax.tree.map(
@@ -117,7 +117,8 @@ class StreamingSurrogate(eqx.Module):
         # The first MAX_DELAY rows only fill the queue of commands; the free run starts after them.
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
         waiting = jax.tree.map(lambda part: part[:MAX_DELAY][::-1], command)
-        # The command of the last row affects only the next row, so it is passed to `advance`.
+        # The command of the last row affects only the next row, so it is passed to the next call of
+        # `advance`.
         passed = jax.tree.map(lambda part: part[MAX_DELAY:-1], command)
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
@@ -125,16 +126,16 @@ class StreamingSurrogate(eqx.Module):
     def advance(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and return a reading after each, with
-        fields ``(ticks,)``."""
+        """Hold the command for `ticks` samples of 10 ms and return a reading after each sample,
+        with fields ``(ticks,)``."""
         state, each = self.advance_members(state, command, ticks)
         return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
 
     def advance_members(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Like `advance`, but return the readings of all members, with fields ``(members,
-        ticks)``; raises CommandError for a command outside the limits."""
+        """Like `advance`, but return the readings of all members, with fields ``(members, ticks)``;
+        raises CommandError if the command is outside the limits."""
         check_commands(self.limits, command)
         held = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), command)
 
@@ -149,20 +150,20 @@ class StreamingSurrogate(eqx.Module):
         return StreamingState(state.tick + ticks, after), reading
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
-        """Return the distance of the recent motion from the training data; 1 in 1000 training
-        samples exceeds 1."""
+        """Return the distance of the recent motion from the training data; for 1 in 1000 training
+        samples, it exceeds 1."""
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Return the ensemble's mean predictions for logs: by the drive networks, and by the force
-        networks from both measured and predicted motion."""
+        """Return the mean predictions of the ensemble for logs, by the drive networks and by the
+        force networks from measured and from predicted motion."""
         drive = self.members.drive
         force = self.members.force
         free = predict_motion(drive, logs)
         measured = []
         for log in logs:
             channels = np.stack([log.reading.angle, log.reading.velocity])
-            # Every member sees the same measured motion: (channels, members, rows).
+            # Every member gets the same measured motion: (channels, members, rows).
             measured.append(Motion(*np.tile(channels[:, None], (self.size, 1))))
         angle = [motion.angle[..., None] for motion in free]
 
@@ -216,7 +217,7 @@ class StreamingSurrogate(eqx.Module):
         }, name_net_arrays({"members": self.members, "familiarity": self.familiarity})
 
     def explorer_data(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
-        """Return what the explorer's script reads: the networks, and the state of the members after
+        """Return the data for the explorer script: the networks, and the state of the members after
         a long rest."""
         description, arrays = self.to_files()
         entries = {name: description[name] for name in ("members", "scales", "interval")}
@@ -229,7 +230,7 @@ class StreamingSurrogate(eqx.Module):
         """Build the surrogate from the result of `to_files`.
 
         Raises:
-            ArtifactError: channels or arrays do not match the networks.
+            ArtifactError: If channels or arrays do not match the networks.
         """
         if description["channels"] != SURROGATE_CHANNELS:
             raise ArtifactError(
@@ -241,7 +242,7 @@ class StreamingSurrogate(eqx.Module):
         scales = Scales.model_validate(description["scales"])
         size = int(description["members"])
 
-        # Only shapes are evaluated: the weights are replaced, so they need not be computed.
+        # Only the shapes are evaluated; the weights are replaced, so they need not be computed.
         def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))

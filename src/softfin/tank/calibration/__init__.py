@@ -1,2 +1,2 @@
-"""Fits the virtual tank to logs or to another plant, and estimates how well each parameter is
-determined."""
+"""Fits the virtual tank to logs or to a different plant, and estimates the uncertainty of each
+parameter."""

@@ -1,5 +1,5 @@
-"""Calibrates a tank from logs: the result is the tank, the recording, and how well their parameters
-are determined.
+"""Calibrates a tank from logs. The result contains the tank, the recording, and the uncertainty of
+their parameters.
 
 A global search with a coarse tank finds the region of the optimum, and a local search with the full
 tank refines it. The Jacobian at the optimum shows which parameters the logs determine.
@@ -37,10 +37,11 @@ ChannelScores: TypeAlias = dict[str, dict[str, float]]
 """``r2`` and ``rmse`` by channel."""
 
 POPULATION = 16
-"""Number of tanks per generation of the global search, which are simulated together."""
+"""Number of tanks per generation of the global search; they are simulated together."""
 
 SEARCH_TANK = {"fin": {"plates": 4}, "steps_per_tick": 1}
-"""Resolution of the tanks in the global search; the local search uses that of the initial tank."""
+"""Resolution of the tanks in the global search; the local search uses the resolution of the initial
+tank."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,11 +100,11 @@ def _write_yaml(file: Path, config: Configuration, head: str) -> None:
 def prepared(
     config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]
 ) -> tuple[Space, Segments, Segments]:
-    """Return the search space, the training segments and the test segments.
+    """Return the search space and the training and test segments.
 
     Raises:
-        ConfigurationError: no parameter is free, or a range is invalid.
-        LogError: the logs are too short to determine the parameters.
+        ConfigurationError: If no parameter is free, or a range is invalid.
+        LogError: If the logs are too short to determine the parameters.
     """
     parameters = list_parameters(config.parameters)
     if not parameters:
@@ -135,7 +136,8 @@ def calibrate_tank(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; resume from the checkpoint in `run_directory`, if any."""
+    """Fit a tank to the training logs; resume from the checkpoint in `run_directory` if there is
+    one."""
     tell = progress or silent
     space, fitted, unseen = prepared(config, train, test)
     coarse = config.tank.merged(SEARCH_TANK, "calibration")

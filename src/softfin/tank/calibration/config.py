@@ -1,8 +1,8 @@
 """Configuration of a calibration: parameters, data and search.
 
-Each free parameter has a name, e.g. ``fin.length_m``, and a range. Searches use scaled coordinates:
-0 is the lower end of the range and 1 the upper end. The scale is logarithmic if both ends are
-positive, otherwise linear.
+Each free parameter has a name, e.g. ``fin.length_m``, and a range. Searches use scaled coordinates,
+from 0 at the lower end of the range to 1 at the upper end. The scale is logarithmic if both ends
+are positive, otherwise linear.
 """
 
 import difflib
@@ -20,13 +20,14 @@ from softfin.tank import TankConfig
 
 CalibrationRange = tuple[float, float]
 Ranges = dict[str, dict[str, CalibrationRange | None]]
-"""Range of each number by group and name; None keeps the number fixed."""
+"""Range of each number, keyed by group and name; None keeps the number fixed."""
 
 CalibrationPoint = Float[np.ndarray, "parameters"]
 """Scaled coordinates of the parameters, 0 to 1."""
 
 BLOCK_S = 2.0
-"""Length of the time blocks whose errors are assumed independent in the standard errors."""
+"""Length of the time blocks whose errors are assumed to be independent in the standard errors
+[s]."""
 
 FREE: dict[str, CalibrationRange] = {
     "drive.acceleration_rad_s2": (5.0, 500.0),
@@ -55,12 +56,12 @@ FREE: dict[str, CalibrationRange] = {
 }
 """Ranges of the parameters that are fitted by default.
 
-Span and root thickness are excluded, because they can be measured with a ruler and no log can
-separate them from Young's modulus, drag and added mass. The sensor's misalignment is excluded,
-because it cannot be separated from the two shaft-angle offsets.
+Span and root thickness are excluded because they can be measured with a ruler and cannot be
+separated from Young's modulus, drag and added mass. Sensor misalignment is excluded because it
+cannot be separated from the two shaft-angle offsets.
 """
 
-# The order matters, because the first match is used: "_rad_s" must precede "_s".
+# The order matters because the first match is used: "_rad_s" must precede "_s".
 _UNITS = {
     "_kg_m3": "kg/m3",
     "_kg_m2": "kg m2",
@@ -79,7 +80,7 @@ _UNITS = {
 
 
 class RecordingConfig(Configuration):
-    """Gains and offsets between the commands and readings of a log and those of a tank."""
+    """Gains and offsets between the commands and readings in a log and in a tank."""
 
     angle_gain: float = Field(1.0, gt=0)
     """Target angle divided by commanded angle [-]."""
@@ -90,9 +91,9 @@ class RecordingConfig(Configuration):
     velocity_limit_rad_s: float = Field(12.5, gt=0)
     """Maximum profile velocity of the recorded drive [rad/s]."""
     reading_gain: float = Field(1.0, gt=0)
-    """Angle in the log divided by the angle of the shaft [-]."""
+    """Angle in the log divided by the shaft angle [-]."""
     reading_offset_rad: float = 0.0
-    """Angle in the log when the shaft is at 0 [rad]: the zero of the encoder."""
+    """Angle in the log when the shaft is at 0 [rad]."""
     force_x_n: float = 0.0
     """Reading of the force sensor along x at zero force [N]."""
     force_y_n: float = 0.0
@@ -100,7 +101,7 @@ class RecordingConfig(Configuration):
 
 
 class Parameter(NamedTuple):
-    """A number to fit, and its range."""
+    """A number to fit and its range."""
 
     name: str
     """Group and field, e.g. ``fin.length_m``."""
@@ -111,7 +112,7 @@ class Parameter(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit, from the end of the parameter's name."""
+        """Unit, taken from the end of the parameter name."""
         return next((unit for suffix, unit in _UNITS.items() if self.name.endswith(suffix)), "-")
 
     def scaled(self, value: float) -> float:
@@ -135,7 +136,8 @@ class Parameter(NamedTuple):
 
 
 def every_range(free: Mapping[str, CalibrationRange] = FREE) -> Ranges:
-    """Return all numbers of a tank and a recording by group; those not in `free` have no range."""
+    """Return all numbers of a tank and a recording by group, without a range if they are not in
+    `free`."""
     ranges: Ranges = {}
     for group, values in (*TankConfig(), ("recording", RecordingConfig())):
         # `steps_per_tick` is a field of the tank itself, not a group.
@@ -152,7 +154,7 @@ def list_parameters(ranges: Ranges) -> list[Parameter]:
     """Return the free parameters.
 
     Raises:
-        ConfigurationError: a name is unknown, or a range is not ascending.
+        ConfigurationError: If a name is unknown, or a range is not ascending.
     """
     allowed = _by_full_name(every_range())
     parameters = []
@@ -186,15 +188,15 @@ class CalibrateConfig(Configuration):
     parameters: Ranges = Field(default_factory=every_range, validate_default=True)
     """Range [low, high] of each number to fit; null keeps the value in `tank` or `recording`."""
     tank: TankConfig = TankConfig()
-    """Initial tank; it also contains the values that are not fitted."""
+    """Initial tank, including the values that are not fitted."""
     recording: RecordingConfig = RecordingConfig()
-    """Initial recording; it also contains the values that are not fitted."""
+    """Initial recording, including the values that are not fitted."""
     evaluations: int = Field(4000, ge=0)
     """Number of tanks simulated in the global search (CMA-ES); 0 for a local search only."""
     step: float = Field(0.1, gt=0, le=1)
     """Standard deviation of the first generation, as a fraction of each range."""
     iterations: int = Field(12, ge=1)
-    """Maximum number of steps of the local search (trust region). It ends earlier if a step
+    """Maximum number of steps of the local search (trust region), which ends earlier if a step
     improves the loss by less than 1e-6 of its value."""
     segments: int = Field(24, ge=2)
     """Maximum number of segments cut from the training logs."""
@@ -206,8 +208,8 @@ class CalibrateConfig(Configuration):
     """Part of each segment that is simulated but not compared [s]; must be longer than a stroke,
     because the simulation starts at rest and the log may start mid-stroke."""
     velocity_rad_s: CalibrationRange | None = None
-    """Range of the velocities that a plant is commanded [rad/s]; null for its limits. Logs contain
-    their own commands."""
+    """Range of the velocities commanded to a plant [rad/s]; null for the limits of the plant. Logs
+    contain their own commands."""
 
     @model_validator(mode="after")
     def _long_enough(self) -> "CalibrateConfig":

@@ -1,9 +1,9 @@
-"""The calibration data, and a compiled program that simulates many tanks on them: points in,
-residuals out.
+"""The calibration data, and a compiled program that simulates many tanks on them and returns the
+residuals for each point.
 
-The logs of a dataset, or of a plant that is excited for the fit, are cut into equal segments. The
-R2 of a channel is 1 - (sum of squared errors) / (sum of squared deviations from the mean). Sums and
-mean are taken over all compared ticks of all segments.
+The logs of a dataset, or of a plant that is excited for the fit, are cut into segments of equal
+length. The R2 of a channel is 1 - (sum of squared errors) / (sum of squared deviations from the
+mean). The sums and the mean are over all compared ticks of all segments.
 """
 
 import copy
@@ -42,7 +42,7 @@ FITTED_CHANNELS = ("angle", "force_x", "force_y")
 
 
 class Segments(eqx.Module):
-    """Commands and the readings that follow them: ``measured[:, k]`` is read one tick after
+    """Commands and the subsequent readings: ``measured[:, k]`` is read one tick after
     ``command.angle[:, k]`` is issued."""
 
     command: Command
@@ -59,18 +59,18 @@ class Segments(eqx.Module):
 
     @property
     def deviation(self) -> Float[Array, "channels"]:
-        """Standard deviation of each channel, about the mean over all segments."""
+        """Standard deviation of each channel over all segments."""
         return jnp.std(self.compared, axis=(0, 1))
 
 
 def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) -> Segments:
     """Cut up to `count` segments of `rows` readings out of the logs.
 
-    The first segment of each log comes first, then the second of each, so that few segments still
+    The first segments of all logs precede the second segments, and so on, so that few segments
     cover many logs.
 
     Raises:
-        LogError: no log is long enough, or a channel never changes.
+        LogError: If no log is long enough, or a channel never changes.
     """
     longest = max((len(log.reading.time) for log in logs), default=0)
     starts = range(0, longest - rows, rows)
@@ -109,13 +109,13 @@ Material = tuple[list[Log], list[Log], JsonObject]
 def material(data: str | Path | Plant, config: CalibrateConfig, seed: int) -> Material:
     """Return what a tank is calibrated from.
 
-    `data` is the folder of a dataset or of recordings with their options in log.yaml, or a plant,
-    its name, or the folder of a surrogate.
+    `data` is the folder of a dataset, of recordings (with import options in log.yaml) or of a
+    surrogate, or a plant or its name.
 
     Raises:
-        ArtifactError: there are no test logs.
-        LogError: the folder contains no logs, or logs with errors that are not ignored.
-        ConfigurationError: a velocity range is set for logs, or exceeds the plant's limits.
+        ArtifactError: If there are no test logs.
+        LogError: If the folder contains no logs, or logs with errors that are not ignored.
+        ConfigurationError: If a velocity range is set for logs, or exceeds the plant's limits.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -177,22 +177,22 @@ def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> Material:
 Errors = Callable[
     [Sequence[CalibrationPoint]], Iterator[Float[np.ndarray, "segments compared channels"]]
 ]
-"""Function that yields each point's errors, divided by the channel's standard deviation."""
+"""Function that yields the errors of each point, divided by the standard deviations of the
+channels."""
 
 QUIET = {
     "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
     "drive": {"encoder_step_rad": 0.0},
 }
-"""Tank options that remove noise and quantization from the readings, because they cannot be
-fitted."""
+"""Tank options that remove noise and quantization from the readings; these cannot be fitted."""
 
 
 class Model(NamedTuple):
-    """A tank, and the relation between its readings and the logs."""
+    """A tank, and the relation between its readings and logs."""
 
     tank: Plant
     recording: dict[str, Float[Array, "*models"]]
-    """Values by field name of `RecordingConfig`."""
+    """Values, keyed by field name of `RecordingConfig`."""
 
     @classmethod
     def build(cls, tank: TankConfig, recording: RecordingConfig) -> "Model":
@@ -206,7 +206,7 @@ class Model(NamedTuple):
         The fields of `command` are commands of a log, ``(ticks,)``.
         """
         by = self.recording
-        # Converted from the log's units and zeros to the tank's, and back below.
+        # Convert from the units and zeros of the log to those of the tank, and back below.
         angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
         velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
         # The readings contain no noise, so the key does not matter.
@@ -233,8 +233,8 @@ def read(models: Model, command: Command) -> Float[Array, "models segments ticks
 
 @eqx.filter_jit
 def _errors(models: Model, segments: Segments) -> Float[Array, "models segments compared channels"]:
-    """Return model minus measurement after the warm-up, divided by the channel's standard
-    deviation; its mean square is 1 - R2."""
+    """Return the model errors after the warm-up, divided by the standard deviations of the
+    channels; their mean square is 1 - R2."""
     found: Array = (
         read(models, segments.command)[:, :, segments.warm_up :] - segments.compared
     ) / segments.deviation
@@ -242,7 +242,7 @@ def _errors(models: Model, segments: Segments) -> Float[Array, "models segments 
 
 
 class Space:
-    """The box of the free parameters, and a tank and a recording with the fixed values."""
+    """The box of the free parameters, and the tank and recording with the fixed values."""
 
     def __init__(
         self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig
@@ -250,7 +250,7 @@ class Space:
         """Build the box.
 
         Raises:
-            ConfigurationError: the box contains invalid values, or excludes the initial values.
+            ConfigurationError: If the box contains invalid values, or excludes the initial values.
         """
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}
@@ -264,7 +264,7 @@ class Space:
                     f"value {path} = {value:g} is outside this range; widen the range or change "
                     f"{path}"
                 )
-            # Validates the ends now, not in the middle of a long search.
+            # Validate the ends now, not in the middle of a long search.
             for end in (parameter.low, parameter.high):
                 self._built({name: end}, f"parameters.{name}")
         self.start = np.array(
@@ -284,7 +284,7 @@ class Space:
         ) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
                 some = [self.configs(point) for point in points[start : start + batch]]
-                # Padded to a fixed size, so that one compiled program runs all calls.
+                # Pad to a fixed size so that one compiled program runs all calls.
                 models = stacked([*some, *some[-1:] * (batch - len(some))])
                 yield from np.asarray(_errors(models, segments))[: len(some)]
 

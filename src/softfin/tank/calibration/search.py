@@ -1,16 +1,16 @@
-"""The two searches in the box of scaled coordinates, and how well the logs determine the result.
+"""The two searches in the box of scaled coordinates, and the uncertainty of the result.
 
-CMA-ES (Hansen 2016, arXiv:1604.00772) searches the entire box, then least squares starts from its
+CMA-ES (Hansen 2016, arXiv:1604.00772) searches the entire box, then least squares starts from the
 best point. A resumed run does not load the state of CMA-ES but recomputes it: the same seed and the
 same losses produce the same generation. The local search is SciPy's trust region method with a
 Jacobian from finite differences.
 
 Standard errors are computed by a jackknife over time blocks in the linear model around the optimum:
-each block is left out once. Errors within a block may be correlated in any way, as model errors
-always are; blocks are assumed to be independent (Cameron and Miller 2015, J. Human Resources 50,
-317, sec. VI.B). The standard error for uncorrelated errors is a lower bound. A parameter at an end
-of its range is treated as fixed there. A parameter without any effect, such as a limit that is
-never reached, is excluded.
+each block is left out once. Errors within a block may be correlated, as model errors always are;
+blocks are assumed to be independent (Cameron and Miller 2015, J. Human Resources 50, 317, sec.
+VI.B). The standard error for uncorrelated errors is a lower bound. A parameter at an end of its
+range is treated as fixed. A parameter without any effect, such as a limit that is never reached, is
+excluded.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,12 +33,12 @@ FAILED = 1e3
 """Loss of a tank whose readings are not finite; higher than any other loss."""
 
 DIFFERENCE = 2e-3
-"""Step of the finite differences in scaled coordinates. It is much larger than float32 round-off
+"""Step of the finite differences in scaled coordinates, which is much larger than float32 round-off
 and too small for curvature to matter."""
 
 GAIN = 1e-6
-"""Relative decrease of the loss below which the local search ends; it is small compared with one
-over the number of samples."""
+"""Relative decrease of the loss below which the local search ends, which is small compared with 1 /
+(number of samples)."""
 
 
 def search(
@@ -55,13 +55,13 @@ def search(
         loss: Function from the points of a generation to their losses.
         start: Initial mean.
         step: Initial standard deviation in scaled coordinates.
-        losses: Losses of the generations already run; NaN in all later rows.
+        losses: Losses of completed generations; NaN in all later rows.
         seed: Seed of the search.
         report: Function called after each new generation with the number of generations and all
-            losses so far.
+            losses.
 
     Raises:
-        RunError: no tank of a generation produced finite readings.
+        RunError: If no tank of a generation produced finite readings.
     """
     random = named_generator(seed, "calibrate/search")
     strategy = cma_es(
@@ -91,7 +91,8 @@ def search(
 def misfits(
     errors: Errors, points: Sequence[CalibrationPoint]
 ) -> Float[np.ndarray, "points channels"]:
-    """Return 1 - R2 of each point and channel; not finite if a tank's readings are not."""
+    """Return 1 - R2 of each point and channel; not finite if the readings of the tank are not
+    finite."""
     rows = [np.mean(np.square(error, dtype=np.float64), axis=(0, 1)) for error in errors(points)]
     return np.stack(rows)
 
@@ -119,8 +120,8 @@ class Linear(NamedTuple):
 
 
 def linearised(errors: Errors, point: CalibrationPoint) -> Linear:
-    """Return the linear model around a point, from central differences inside the box and one-sided
-    differences on its faces."""
+    """Return the linear model around a point, using central differences inside the box and
+    one-sided differences on its faces."""
     steps = DIFFERENCE * np.eye(len(point))
     up = np.clip(point + steps, 0.0, 1.0)
     down = np.clip(point - steps, 0.0, 1.0)
@@ -157,14 +158,14 @@ def polish(
         return np.asarray(scaled)
 
     def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
-        # A neighbour of a tank with finite readings may itself have non-finite ones.
+        # Tanks next to a tank with finite readings may have readings that are not finite.
         jacobian = np.nan_to_num(
             linearised(errors, point).jacobian, nan=0.0, posinf=0.0, neginf=0.0
         )
         return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
-    # SciPy's other method with bounds, trf, only approaches the faces of the box, but the optimum
-    # may lie on one.
+    # The optimum may be on a face of the box, which SciPy's other method with bounds, trf, only
+    # approaches.
     found = least_squares(
         residuals,
         start,
@@ -184,12 +185,12 @@ def _scale(errors: np.ndarray) -> np.float32:
 
 
 VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
-"""Verdicts by remaining uncertainty: standard error divided by the standard deviation of the
-range."""
+"""Verdicts on the remaining uncertainty: the standard error divided by the standard deviation of
+the range."""
 
 IDLE = 1e-4
-"""Diagonal element of J^T J below which the effect of a parameter cannot be distinguished from
-float32 round-off."""
+"""Diagonal element of J^T J below which the effect of a parameter is indistinguishable from float32
+round-off."""
 
 FARTHEST = 10.0
 """Bound on the ends of an interval in scaled coordinates; without it, the value of an undetermined
@@ -205,18 +206,18 @@ def determination(
     """Estimate how well the logs determine the parameters.
 
     Returns:
-        ``parameters`` by name, and the number of ``blocks``.
+        ``parameters``, keyed by name, and the number of ``blocks``.
     """
     normal, gradient = linear.normal()
     at = linear.point
-    # Parameters at an end of their range, beyond which the loss would decrease.
+    # Parameters at an end of their range, if the loss would decrease beyond it.
     low = (at <= DIFFERENCE) & (gradient > 0)
     high = (at >= 1 - DIFFERENCE) & (gradient < 0)
     idle = np.diag(normal) < IDLE
     free = np.flatnonzero(~(low | high | idle))
     values, directions = np.linalg.eigh(normal[np.ix_(free, free)])
     # The pseudo-inverse N^-1 of N = J^T J, with eigenvalues bounded from below: in a direction
-    # without any effect the error becomes huge but not infinite.
+    # without any effect, the error becomes huge but not infinite.
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     inverse = directions / np.maximum(values, least) @ directions.T
     jacobian = linear.jacobian[free].astype(np.float64)

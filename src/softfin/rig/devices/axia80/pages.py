@@ -1,8 +1,9 @@
-"""Web pages of an Axia80, read over HTTP before streaming: product, scale, units and its own zero.
+"""Web pages of an Axia80, read over HTTP before streaming: product, scale, units and the zero set
+in the sensor.
 
 ``/netftapi2.xml`` is required, with the five fields that every client needs; ``/netftcalapi.xml``,
-if present, adds the calibration's serial number. The names of the five fields are those that public
-drivers read; the name of the serial number is unverified. We have not seen either page on a real
+if present, adds the serial number of the calibration. The names of the five fields are taken from
+public drivers; the name of the serial number is unverified. We have not seen either page on a real
 Axia80.
 """
 
@@ -56,7 +57,7 @@ def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:
 
 
 class SensorSettings(Configuration):
-    """Product, scale and serial number as reported on the sensor's pages."""
+    """Product, scale and serial number as reported on the sensor pages."""
 
     prodname: str
     calsn: str | None = None
@@ -71,7 +72,7 @@ class SensorSettings(Configuration):
     """Torque unit [N m]."""
     setbias: str | None = None
     """Zero set in the sensor, e.g. ``0;0;0;0;0;0`` [counts]; None if not reported. Net F/T sensors
-    report it; unverified for an Axia80."""
+    report this field; unverified for an Axia80."""
 
     @property
     def scale(self) -> list[float]:
@@ -80,8 +81,8 @@ class SensorSettings(Configuration):
 
 
 def read_settings(host: str, port: int, computer: Computer) -> SensorSettings:
-    """Read a sensor's settings; raises DeviceError if it does not respond and RigError if its pages
-    cannot be used."""
+    """Read the settings of a sensor; raises DeviceError if it does not respond, and RigError if its
+    pages cannot be used."""
     page = computer.fetch_page(host, port, SETTINGS)
     source = f"http://{host}:{port}{SETTINGS}"
     if page is None:
@@ -90,8 +91,8 @@ def read_settings(host: str, port: int, computer: Computer) -> SensorSettings:
 
 
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
-    """Parse the settings from both pages; raises RigError with the field, its value and the allowed
-    values."""
+    """Parse the settings from both pages; if they are invalid, raises RigError with the field, its
+    value and the allowed values."""
     found = {
         name: text
         for name, text in _fields(page, source).items()
@@ -110,11 +111,11 @@ def parse_settings(page: bytes, calibration: bytes | None, source: str) -> Senso
 def _fields(page: bytes, source: str) -> dict[str, str]:
     """Return the non-empty texts of the XML elements by name."""
     try:
-        # The page comes from the network, and entities of a document type could expand without
+        # The page comes from the network, and entities of a document type could expand without a
         # limit.
         root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
     except (ParseError, ValueError, LookupError, RecursionError) as error:
-        # ValueError includes defusedxml's errors for document types and entities.
+        # ValueError includes the defusedxml errors for document types and entities.
         reason = one_line(error)
         raise RigError(f"{source}: not a page of an Axia80 ({reason}); check the address") from None
     texts = {element.tag: " ".join((element.text or "").split()) for element in root.iter()}

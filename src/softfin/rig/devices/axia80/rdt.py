@@ -1,8 +1,8 @@
 """RDT, the protocol of ATI's Ethernet force sensors: encode 8-byte requests and decode 36-byte
 records, without I/O.
 
-Layout and status bits follow the ATI manual 9610-05-Ethernet Axia (the bits differ from those of
-the older Net F/T), and have not been tested with a real sensor. All fields are big-endian.
+Layout and status bits follow the ATI manual 9610-05-Ethernet Axia and have not been tested with a
+real sensor. The older Net F/T uses different bits. All fields are big-endian.
 """
 
 import enum
@@ -38,7 +38,7 @@ class RdtRecord(NamedTuple):
     """One sensor reading."""
 
     rdt_sequence: int
-    """Sequence number in this stream: starts at 1, wraps from 2^32 - 1 to 0."""
+    """Sequence number in this stream, which starts at 1 and wraps from 2^32 - 1 to 0."""
     ft_sequence: int
     """Sample counter since the sensor was switched on; a request does not reset it."""
     status: int
@@ -52,7 +52,7 @@ def encode_request(command: RdtCommand) -> bytes:
 
 
 def decode_request(datagram: bytes) -> RdtCommand | None:
-    """Return the command in a client's datagram; None if it is not a valid request."""
+    """Return the command in a client datagram; None if the datagram is not a valid request."""
     if len(datagram) != REQUEST.size:
         return None
     header, command, _ = REQUEST.unpack(datagram)
@@ -77,8 +77,8 @@ class StatusBit(NamedTuple):
 
     name: str
     is_error: bool
-    """Whether the bit stops the fin; other bits are notes only, as the readings remain valid or no
-    action is possible."""
+    """Whether the bit stops the fin. Other bits are only notes, because the readings remain valid
+    or no action is possible."""
     remedy: str
 
     def __str__(self) -> str:
@@ -123,12 +123,12 @@ STATUS_BITS = {
 def decode_status(status: int) -> tuple[StatusBit, ...]:
     """Return the errors and notes in a 32-bit status word.
 
-    Bit 31 summarises all errors: it is reported only if no other bit explains it.
+    Bit 31 summarises all errors; it is reported only if no other bit explains it.
     """
     summary = bool(status >> SUMMARY_BIT & 1)
     numbers = {number for number in range(SUMMARY_BIT) if status >> number & 1}
     bits = [bit for number, bit in STATUS_BITS.items() if number in numbers]
-    # A busy sensor sets the summary bit as well, as in `BUSY`.
+    # A busy sensor also sets the summary bit, as in `BUSY`.
     is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
     if numbers - set(STATUS_BITS) or (summary and not is_explained):
         remedy = "check the sensor's web page, and switch the sensor off and on"

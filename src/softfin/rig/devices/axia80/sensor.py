@@ -1,8 +1,8 @@
 """The ATI Axia80 force/torque sensor: its UDP stream as records for a `StreamedSensor`.
 
-Scale and units come from the sensor's web pages; the stream uses RDT (ATI manual 9610-05-Ethernet
-Axia). Tested with the emulator, which a third-party client can also read, but not with a real
-sensor.
+Scale and units come from the web pages of the sensor; the stream uses RDT (ATI manual
+9610-05-Ethernet Axia). Tested with the emulator, which a third-party client can also read, but not
+with a real sensor.
 """
 
 import numpy as np
@@ -17,26 +17,26 @@ from softfin.rig.loss_estimate import wrapped_step
 from softfin.rig.streamed_sensor import FIRST_WAIT_S, RecordSource, StreamedSensor, TimedWrench
 
 RETRY_S = 0.1
-"""Time without a record after which the stream is requested again [s]: UDP may lose a request, and
+"""Time without a record after which the stream is requested again [s]. UDP may lose a request, and
 a restarted sensor does not send until requested."""
 
 OLD_S = 0.5
-"""Age at which a record is discarded [s]: it is too old to affect a usable force."""
+"""Age at which a record is discarded, because it is too old to affect a usable force [s]."""
 
 LATE_RECORDS = 64
-"""Maximum number of records by which a record may be late; beyond that, it belongs to another
+"""Maximum number of records by which a record may be late; a later record belongs to a different
 stream."""
 
 REORDERED_SAMPLES = 4096
-"""Number of samples by which the sensor's counter may go back without a restart: half a second at
-8 kHz."""
+"""Maximum number of samples by which the sensor counter may go back without a restart: half a
+second at 8 kHz."""
 
 MAX_GAP = 1 << 24
-"""Longest gap [records or samples]: half an hour at 8 kHz."""
+"""Maximum gap [records or samples]: half an hour at 8 kHz."""
 
 
 def axia80_sensor(config: Axia80Config, clock: Computer = COMPUTER) -> StreamedSensor:
-    """Return an Axia80."""
+    """Create an Axia80."""
     return StreamedSensor(config, RdtSource(config, clock), clock)
 
 
@@ -46,11 +46,11 @@ class RdtSource(RecordSource):
     unit = "record"
     remedy = "check its power and cable, and make sure that no other program reads it"
     constant_s = 0.1
-    """The noise of an Axia80 is thousands of counts (not verified), so even two equal consecutive
-    records are rare."""
+    """Time for which a channel may keep its value [s]. The noise of an Axia80 is thousands of
+    counts (not verified), so even two equal consecutive records are rare."""
 
     def __init__(self, config: Axia80Config, clock: Computer) -> None:
-        # The sensor streams only to the latest client: a second program would cut off the first.
+        # The sensor streams only to the latest client, so a second program would cut off the first.
         super().__init__(config.address, config.address, config.rdt_port)
         self.config = config
         self.clock = clock
@@ -67,28 +67,28 @@ class RdtSource(RecordSource):
         self._is_first_burst = self._is_new_stream = True
         self._has_restarted = False
         self._num_busy = 0
-        """Number of latest records that are from a busy sensor."""
+        """Number of consecutive latest records from a busy sensor."""
         self._missing = 0
-        """Number of records lost or discarded since the latest one returned."""
+        """Number of records lost or discarded since the latest returned record."""
         self._active_at = self.clock()
         """Time of the latest request or record [s]."""
 
     def open(self) -> None:
-        """Read the sensor's pages and request its stream; raises RigError if the sensor does not
-        match the rig file and DeviceError if it does not respond."""
+        """Read the sensor pages and request the stream; raises RigError if the sensor does not
+        match the rig file, and DeviceError if it does not respond."""
         config = self.config
         clock = self.clock
         self._reset()
         settings = read_settings(config.address, config.http_port, clock)
         self._product = settings.prodname
         self._scale = np.array(settings.scale)
-        # A restart clears a zero that was set in the sensor, and then softfin's zero is wrong.
+        # A restart clears any zero that was set in the sensor, which makes softfin's zero wrong.
         self.identity = {"serial": settings.calsn, "own_zero": settings.setbias}
         self._client = RdtClient(config.address, config.rdt_port, clock)
         self._request()
 
     def take(self) -> list[TimedWrench]:
-        """Return the usable records that have arrived; request the stream again if it ended."""
+        """Return the usable records that have arrived; request the stream again if it has ended."""
         client = self._open_client()
         arrivals = client.drain()
         self.counted["refused_datagrams"] = client.refused
@@ -99,8 +99,7 @@ class RdtSource(RecordSource):
             return []
         self._active_at = now
         if self._is_first_burst:
-            # Linux turns timestamps on some time after it is asked to, so the first ones may be
-            # too new.
+            # Linux enables timestamps with a delay, so the first timestamps may be too late.
             self._is_first_burst = False
             return []
         self.status = 0
@@ -109,10 +108,10 @@ class RdtSource(RecordSource):
         for record, time in arrivals:
             self.status |= record.status
             if not self._advance(Arrival(record, time)):
-                # Out of order or duplicated, which does not happen on a single cable.
+                # The record is out of order or duplicated, which does not happen on a single cable.
                 self.counted["late"] += 1
             elif self._num_busy:
-                # Its values may be outdated.
+                # The values of the record may be outdated.
                 self._missing += 1
             elif now - time > OLD_S:
                 self.counted["discarded"] += 1
@@ -127,7 +126,7 @@ class RdtSource(RecordSource):
         return self._product
 
     def explain_silence(self) -> str:
-        """Return whether the sensor is busy, or what to check."""
+        """Return a text that states that the sensor is busy, or what to check."""
         config = self.config
         if self._num_busy:
             return (
@@ -142,8 +141,8 @@ class RdtSource(RecordSource):
         )
 
     def complaints(self) -> list[str]:
-        """Return the errors in the status of the latest records, a restart, and a long busy
-        state."""
+        """Return the errors in the status of the latest records, including a restart and a long
+        busy state."""
         lines = [str(bit) for bit in decode_status(self.status) if bit.is_error]
         if self._has_restarted:
             lines.append("restarted; check its supply and cable, then start again")
@@ -152,7 +151,7 @@ class RdtSource(RecordSource):
         return lines
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on the sensor's status that do not stop the fin, e.g. that its forces are
+        """Return notes on sensor states that do not stop the fin, e.g. that the forces are
         simulated."""
         return tuple(str(bit) for bit in decode_status(self.status) if not bit.is_error)
 
@@ -168,28 +167,28 @@ class RdtSource(RecordSource):
         return self._client
 
     def _request(self) -> None:
-        """Request a stream, whose numbers start again."""
+        """Request a new stream, whose sequence numbers start again."""
         self._open_client().send(RdtCommand.START)
         self._active_at = self.clock()
         self._is_new_stream = True
 
     def _advance(self, arrival: Arrival) -> bool:
-        """Count a record; return False if it is not newer than those before."""
+        """Count a record; return False if it is not newer than the previous records."""
         record = arrival.record
         steps = 1
         if self._newest is not None:
             before = self._newest.record
             steps = wrapped_step(before.rdt_sequence, record.rdt_sequence)
             if self._is_new_stream or not -LATE_RECORDS <= steps <= MAX_GAP:
-                # Only the time tells how many records are missing between two streams; they are
-                # not lost.
+                # The number of records between two streams can only be estimated from the time;
+                # they are not counted as lost.
                 elapsed_s = arrival.time - self._newest.time
                 self._missing += max(round(elapsed_s * self.config.rate_hz) - 1, 0)
                 steps = 1
             if steps <= 0:
                 return False
             samples = wrapped_step(before.ft_sequence, record.ft_sequence)
-            # Only a restart sets the sensor's counter back.
+            # Only a restart sets back the sensor counter.
             self._has_restarted |= not -REORDERED_SAMPLES <= samples <= MAX_GAP
         self._newest = arrival
         self._is_new_stream = False

@@ -1,4 +1,5 @@
-"""Client for an Axia80's stream of records over UDP, with the time at which each one arrived."""
+"""Client for the record stream of an Axia80 over UDP, which also provides the arrival time of each
+record."""
 
 import contextlib
 import socket
@@ -16,26 +17,27 @@ from softfin.rig.devices.axia80.rdt import (
 )
 
 BUFFER_BYTES = 4 * 1024 * 1024
-"""Requested size of the kernel's receive buffer: seconds of the stream, in case the process is
-delayed. Linux grants at most twice `net.core.rmem_max`, 0.5 s of the stream by default."""
+"""Requested size of the kernel's receive buffer [bytes]: several seconds of the stream, in case the
+process is delayed. Linux grants at most twice `net.core.rmem_max`, 0.5 s of the stream by
+default."""
 
 MAX_DATAGRAMS = 1000
 """Maximum number of datagrams per call to `drain`. After a pause, 5,000 or more may be waiting;
-processing them all would take several ticks and trip the loop's overrun limit. At 8 kHz, 80 arrive
-per tick, so a backlog still shrinks."""
+processing all of them would take several ticks and exceed the overrun limit of the loop. At 8 kHz,
+80 arrive per tick, so a backlog still shrinks."""
 
 UNREAD_S = 0.03
-"""Longest time since the socket was empty for which a record without a usable timestamp counts as
-new [s]."""
+"""Maximum time since the socket was empty for which a record without a usable timestamp is treated
+as new [s]."""
 
 DATE_STEP_S = 0.005
-"""Change in the offset between the wall clock and the monotonic clock from one drain to the next,
-above which the wall clock counts as having been set [s]. NTP slews it by at most 0.5 ms/s."""
+"""Change in the offset between wall clock and monotonic clock between two drains above which
+softfin assumes that the wall clock was set [s]. NTP slews the wall clock by at most 0.5 ms/s."""
 
 OFFSET_TRIES = 10
 """Number of attempts to read the wall clock and the monotonic clock without a delay in between."""
 
-# Linux socket option that Python's socket module does not define; its number is the same on x86 and
+# Linux socket option that Python's socket module does not define. The number is the same on x86 and
 # ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
@@ -50,8 +52,8 @@ class Arrival(NamedTuple):
 
 
 class RdtClient:
-    """Non-blocking UDP client; its socket is connected, so that the kernel delivers only datagrams
-    from the sensor's port."""
+    """Non-blocking UDP client. The socket is connected so that the kernel delivers only datagrams
+    from the port of the sensor."""
 
     def __init__(self, host: str, port: int, clock: Computer) -> None:
         self.refused = 0
@@ -72,9 +74,9 @@ class RdtClient:
             ) from None
         if sys.platform.startswith("linux"):
             # The socket is not read while the operator types "move" or a log is written. Linux then
-            # keeps the oldest records and drops the new ones. If they were timestamped on reading,
-            # a force from a minute ago would look current, and the motor would be powered based on
-            # it. So use the time at which the kernel received each record.
+            # keeps the oldest records and drops new ones. If records were timestamped when they are
+            # read, a force from a minute ago would seem current, and the motor would be powered
+            # based on this force. Therefore, use the time at which the kernel received each record.
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 self._has_stamps = True
@@ -94,7 +96,7 @@ class RdtClient:
         return True
 
     def drain(self) -> list[Arrival]:
-        """Return the records received, oldest first, from at most MAX_DATAGRAMS datagrams."""
+        """Return the received records, oldest first, from at most MAX_DATAGRAMS datagrams."""
         received: list[tuple[RdtRecord, float | None]] = []
         empty_at = self._empty_at
         for _ in range(MAX_DATAGRAMS):
@@ -106,8 +108,8 @@ class RdtClient:
                 self._empty_at = looked_at
                 break
             except OSError:
-                # An ICMP error: an earlier request found no listener. `StreamedSensor` reports
-                # the missing records.
+                # An ICMP error means that an earlier request found no listener. `StreamedSensor`
+                # reports the missing records.
                 self.refused += 1
                 break
             record = decode_record(data)
@@ -120,8 +122,8 @@ class RdtClient:
         # suspend. The timestamps of this drain are then useless.
         is_date_set = abs(offset - self._date_offset) > DATE_STEP_S
         self._date_offset = offset
-        # Without a timestamp, a record counts as new only if the socket was empty a moment ago;
-        # otherwise assume the maximum possible age.
+        # A record without a timestamp is treated as new only if the socket was empty a moment ago;
+        # otherwise, assume the maximum possible age.
         unknown = now if now - empty_at <= UNREAD_S else empty_at
         arrivals = []
         for record, stamp in received:
@@ -140,8 +142,9 @@ class RdtClient:
     def _measure_offset(self) -> tuple[float, float]:
         """Return the offset of the wall clock from the monotonic clock, and the monotonic time [s].
 
-        On a busy computer the process may be interrupted between the two readings, which would look
-        like a change of the wall clock; so they are repeated until they are close together.
+        On a busy computer, the process may be interrupted between the two readings, which would
+        seem like a change of the wall clock. The readings are therefore repeated until they are
+        close together.
         """
         for _ in range(OFFSET_TRIES):
             before = self._clock()
@@ -149,8 +152,8 @@ class RdtClient:
             after = self._clock()
             if after - before < DATE_STEP_S / 10:
                 break
-        # If no pair is close together, subtracting the earlier reading makes records look older
-        # than they are, never newer.
+        # If no pair is close together, subtracting the earlier reading makes records seem older
+        # than they are, but never newer.
         return date - before, before
 
     def _receive(self) -> tuple[bytes, float | None]:

@@ -1,1 +1,1 @@
-"""ROBOTIS Dynamixel servos of the X series, over Protocol 2.0 on a serial port of their own."""
+"""ROBOTIS Dynamixel X-series servos, over Protocol 2.0 on a separate serial port each."""

@@ -1,4 +1,4 @@
-"""Configuration of a Dynamixel, and conversion to its units."""
+"""Configuration of a Dynamixel, and conversion to servo units."""
 
 import math
 from typing import Literal, NamedTuple
@@ -18,20 +18,20 @@ from softfin.rig.devices.dynamixel.protocol import ACCELERATION_UNIT_RPM_MIN, WA
 from softfin.rig.safety import OVERSHOOT_RAD
 
 MAX_ACCELERATION = 32_767
-"""Largest profile acceleration, in the servo unit."""
+"""Maximum profile acceleration in the servo unit."""
 
 
 class DynamixelConfig(DriveConfig):
-    """A Dynamixel that turns the fin directly, without a gearbox of its own."""
+    """A Dynamixel that turns the fin directly, without an additional gearbox."""
 
     ZERO_POWERS_MOTOR = False
 
     type: Literal["dynamixel"] = "dynamixel"
-    """A Dynamixel of the X series."""
+    """A Dynamixel X-series servo."""
 
     port: str
-    """Serial port, e.g. /dev/ttyUSB0; each fin needs its own, because any instruction on a port
-    restarts the bus watchdogs of all its servos."""
+    """Serial port, e.g. /dev/ttyUSB0. Each fin needs a separate port, because any instruction on a
+    port restarts the bus watchdogs of all servos on it."""
     model: Literal[tuple(MODELS)]  # type: ignore[valid-type]
     """Model; no default, because the unit of the current depends on it."""
     id: int = Field(ge=0, le=252)
@@ -42,18 +42,18 @@ class DynamixelConfig(DriveConfig):
     """Time without an instruction after which the servo stops by itself [s], in steps of 20 ms
     (Bus Watchdog)."""
     zero_needed: bool = True
-    """Refuse to move before the fin has been zeroed once; the servo keeps its zero when it is
+    """Refuse to move until the fin has been zeroed once; the servo keeps the zero when it is
     switched off."""
 
     @property
     def summary(self) -> str:
-        """The model and ID."""
+        """Model and ID."""
         return f"{self.model}, ID {self.id}"
 
     @property
     def watchdog(self) -> int:
-        """Value of the bus watchdog: one unit less than `heartbeat_s`, because the servo may
-        react up to one unit late (unknown)."""
+        """Value for the bus watchdog: one unit less than `heartbeat_s`, because the servo may react
+        up to one unit late (unverified)."""
         return math.floor(self.heartbeat_s / WATCHDOG_UNIT_S + 1e-6) - 1
 
     @model_validator(mode="after")
@@ -65,7 +65,7 @@ class DynamixelConfig(DriveConfig):
             )
         units = Units.of(self)
         if units.speed(self.slowest_rad_s) == 0:
-            # The servo takes 0 for "as fast as possible".
+            # The servo interprets 0 as "as fast as possible".
             raise ValueError(
                 f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 in the servo unit; increase it"
             )
@@ -84,7 +84,7 @@ class DynamixelConfig(DriveConfig):
 
 
 class Units(NamedTuple):
-    """Conversion between the fin units and the servo's."""
+    """Conversion between fin units and servo units."""
 
     model: Model
     direction: int
@@ -111,12 +111,12 @@ class Units(NamedTuple):
         return self.direction * value * VELOCITY_UNIT_RPM * 2 * math.pi / 60
 
     def acceleration(self, acceleration: float) -> int:
-        """Return the profile acceleration for one of the fin [rad/s2]."""
+        """Return the profile acceleration for a fin acceleration [rad/s2]."""
         # rev/min2 = rad/s2 * 60^2 / 2 pi
         return round(acceleration * 3600 / (2 * math.pi) / ACCELERATION_UNIT_RPM_MIN)
 
     def current(self, value: int) -> float:
-        """Return the current [A], positive in the fin's direction."""
+        """Return the current [A], positive in the positive direction of the fin."""
         return self.direction * value * self.model.current_unit_a
 
     def voltage(self, value: int) -> float:
@@ -125,7 +125,8 @@ class Units(NamedTuple):
 
 
 def position_range(config: DynamixelConfig, margin_rad: float = 0.0) -> tuple[int, int]:
-    """Return the lowest and highest position of the fin's range, widened by a margin [rad]."""
+    """Return the minimum and maximum position in the range of the fin, widened by a margin
+    [rad]."""
     units = Units.of(config)
     ends = sorted(
         (

@@ -1,11 +1,11 @@
 """Driver for a Dynamixel in position mode, from a safe start to a safe stop.
 
-The control loop's thread makes all calls except `stop`, which any thread may call. Tested with our
-emulator, not yet with a real servo.
+The thread of the control loop makes all calls except `stop`, which any thread may call. Tested with
+our emulator, not yet with a real servo.
 
-The servo has no command for a quick stop. To stop, softfin sends it to the position at which it
-comes to rest with `quick_stop_rad_s2`, and then switches its torque off. If softfin dies, the bus
-watchdog stops the servo, which then holds its position with its torque on.
+The servo has no quick-stop command. To stop it, softfin commands the position at which it comes to
+rest with `quick_stop_rad_s2`, and then switches the torque off. If softfin dies, the bus watchdog
+stops the servo, which then holds its position with the torque on.
 """
 
 import os
@@ -38,25 +38,27 @@ from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, accept_target
 
 ANSWER_S = 0.006
-"""Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
-computer."""
+"""Maximum wait for an answer per tick [s]; an answer takes 2 ms on a real port, and longer on a
+busy computer."""
 
 STANDSTILL_RAD_S = 0.1
-"""Velocity below which the shaft counts as at rest [rad/s]: four units of the servo."""
+"""Velocity below which the shaft is treated as at rest [rad/s]: four servo units."""
 
 MEASURED_READINGS = 20
-"""Readings for which `open` measures the delay."""
+"""Number of readings for which `open` measures the delay."""
 
 DELAY_ATTEMPTS = 3
 """Number of times that `open` measures the delay while most answers seem late."""
 
 SLOWEST_ANSWER_S = 0.005
-"""Longest median delay of an answer [s]; more would not leave time for the rest of a tick."""
+"""Maximum median delay of an answer [s]; a longer delay would not leave enough time for the rest of
+a tick."""
 
 STOP_TIMEOUT_S = 3.0
-"""Longest wait for another stop in progress [s]."""
+"""Maximum wait for another stop in progress [s]."""
 DISABLE_ATTEMPTS = 8
-"""Maximum number of attempts to switch the torque off; each waits for up to two late answers."""
+"""Maximum number of attempts to switch the torque off; each attempt waits for up to two late
+answers."""
 LATE_ANSWER_S = 0.04
 """Maximum wait for the answer that confirms a stop, if answers are late [s]."""
 BLIND_WRITES = 20
@@ -65,24 +67,25 @@ collide if a second program uses the port."""
 LOSS_MARGIN_S = 0.3
 """Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
 SHAFT_WATCHED_S = 0.3
-"""Time for which softfin monitors the shaft after the servo has stopped by itself [s]."""
+"""Time for which softfin watches the shaft after the servo has stopped by itself [s]."""
 MOVED_RAD = 0.02
 """Maximum rotation of the shaft during the stop test [rad]; the fin may sway."""
 RESET_TIMEOUT_S = 1.0
 REFUSED = 3
-"""Number of attempts of a stop after one that was not confirmed, so that it is brief."""
+"""Number of attempts if an earlier stop was not confirmed; small, so that the stop is brief."""
 UNANSWERED = 3
-"""Number of consecutive ticks without a target that counts as a problem."""
+"""Number of consecutive ticks without an accepted target after which a problem is reported."""
 ZERO_TOLERANCE = 8
-"""Largest position after zeroing, in counts from the center: the fin may sway."""
+"""Maximum distance from the center after zeroing [counts]; the fin may sway."""
 
 WATCHDOG_LINE = f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
 
 _MOTION = struct.Struct("<iii")
-"""Profile acceleration, profile velocity and goal position, which are next to each other."""
+"""Profile acceleration, profile velocity and goal position, which are adjacent in the control
+table."""
 
 _PRESENT = struct.Struct("<ii")
-"""Present velocity and position, which are next to each other."""
+"""Present velocity and position, which are adjacent in the control table."""
 
 
 class Dynamixel:
@@ -94,15 +97,16 @@ class Dynamixel:
         self.link = ServoLink(config, clock)
         self.units = Units.of(config)
         self.where = f"{config.port}, ID {config.id}"
-        # A lock for the port, because the watchdog of a servo does not distinguish between servos.
+        # The lock is for the port, because the watchdog of a servo does not distinguish between
+        # servos.
         self.device_lock = DeviceLock(self.link.name, "serial", os.path.realpath(config.port))
         self.serial: int | None = None
         """None, because a Dynamixel has no serial number."""
         self._firmware: int | None = None
         self._homing_offset: int | None = None
         self.powered = False
-        """Whether the motor may be powered; False only after the servo has confirmed that it is
-        off."""
+        """Whether the motor may be powered; False only after the servo has confirmed that the
+        torque is off."""
         self._stopping = clock.lock()
         """Held while a stop brings the motor to rest."""
         self._stop_failed = False
@@ -127,13 +131,13 @@ class Dynamixel:
         self.stopped = False
         """Whether the drive has been stopped since enabling started."""
         self._motion: bytes | None = None
-        """Latest target, repeated until the servo has it."""
+        """Latest target, repeated until the servo has accepted it."""
         self._goal = 0
         self._unanswered = 0
 
     def connect(self) -> None:
-        """Connect to the servo in any state without changing anything; raises RigError or
-        DeviceError."""
+        """Connect to the servo, in any state, without changing anything; raises RigError or
+        DeviceError on failure."""
         self.device_lock.acquire(self.clock)
         self._reset()
         try:
@@ -145,8 +149,8 @@ class Dynamixel:
             raise
 
     def open(self) -> None:
-        """Connect, check, and select the entries to read; the motor stays off. On failure, close
-        again."""
+        """Connect, run checks, and select the entries to read; the motor stays off. On failure,
+        close the drive."""
         self.connect()
         try:
             setup.answer_everything(self.link)
@@ -168,8 +172,8 @@ class Dynamixel:
         self.device_lock.release()
 
     def read(self) -> DriveReading:
-        """Read the servo now, which also keeps it from stopping by itself."""
-        # A servo that does not obey a stop must stop by itself, so it is sent nothing more.
+        """Read the servo now; reading also keeps it from stopping by itself."""
+        # A servo that does not obey a stop must stop by itself, so nothing more is sent to it.
         is_disobedient = self.stopped and self.powered
         if not is_disobedient and self._poll():
             self._repeat_target()
@@ -185,13 +189,13 @@ class Dynamixel:
         )
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]."""
+        """Return the current shaft angle [rad]."""
         self._poll(0.02)
         return self.units.angle(self._known_status().position)
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
-        motor is off again."""
+        """Power the motor, which holds its position. If this raises RigError or DeviceError, the
+        motor is off."""
         angle = self.units.angle(self._new_status().position)
         if self.config.zero_needed and not self.referenced:
             raise RigError(
@@ -201,8 +205,8 @@ class Dynamixel:
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def command(self, target: Target) -> None:
-        """Move to the target, replacing the previous one; raises CommandError if it is outside the
-        limits and DeviceError if the drive is not enabled."""
+        """Move to the target, replacing the previous one; raises CommandError if the target is
+        outside the limits, and DeviceError if the drive is not enabled."""
         angle, velocity = accept_target(target, self.config.limits)
         goal = self.units.position(angle)
         speed = self.units.speed(velocity)
@@ -232,12 +236,13 @@ class Dynamixel:
             self._trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def zero(self) -> None:
-        """Make the present angle the fin's zero, by the servo's homing offset; the motor stays
-        off."""
+        """Make the current angle the zero angle of the fin by setting the homing offset of the
+        servo; the motor stays off."""
         status = self._new_status()
         before = self.link.read(protocol.HOMING_OFFSET)
         applied = before if _is_applied(before) else 0
-        # An offset of 0 means that the fin has never been zeroed; 1 is an error of 0.09 degrees.
+        # An offset of 0 means that the fin has never been zeroed, so use 1 instead, which is an
+        # error of 0.09 degrees.
         offset = CENTER - (status.position - applied) or 1
         if not _is_applied(offset):
             degrees = 360 * (status.position - applied) / TICKS_PER_TURN
@@ -254,15 +259,15 @@ class Dynamixel:
                     "still and try again"
                 )
         except BaseException:
-            # A zero that has not been checked must not count as one.
+            # A zero that has not been checked must not be treated as valid.
             with suppress(RigError, DeviceError):
                 setup.write(self.link, protocol.HOMING_OFFSET, before)
             raise
         self._homing_offset = offset
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the servo fault and return its description; None if there was none. Raises
-        DeviceError if the fault persists.
+        """Acknowledge the servo fault and return its description; None if there was no fault.
+        Raises DeviceError if the fault persists.
 
         The motor stays off. The drive must be reopened before it can be enabled.
         """
@@ -289,13 +294,15 @@ class Dynamixel:
         """Stop the motor unconditionally, no matter which program powered it; raises DeviceError if
         it is not confirmed to be off.
 
-        Two programs on one port receive each other's answers, so a softfin process that uses the
-        port is first asked to exit. If it does not, the torque is switched off without braking.
+        Two programs on one port receive each other's answers, so softfin first requests a second
+        softfin process on the port to exit. If it does not exit, the torque is switched off without
+        braking.
         """
         self._reset()
         is_alone = self.device_lock.take_over(self.clock)
         try:
-            # Not exclusively, because the program that powered it may hang.
+            # The port is not opened exclusively, because the program that powered the motor may
+            # hang.
             self.link.open(exclusive=False)
             if is_alone:
                 self._brake_foreign_motion()
@@ -316,10 +323,11 @@ class Dynamixel:
 
     def prove_stop(self) -> float:
         """Power the motor at rest and send nothing; return the time until the servo stops by itself
-        [s]. Raises DeviceError if it does not, or if its shaft moves.
+        [s]. Raises DeviceError if it does not stop or its shaft moves.
 
-        Every instruction restarts the bus watchdog, even one that reads it. So softfin is silent
-        for longer each time, until the watchdog has tripped; the real time is up to 20 ms shorter.
+        Every instruction restarts the bus watchdog, even an instruction that reads it. softfin is
+        therefore silent for longer each time until the watchdog has tripped; the true time is up to
+        20 ms shorter.
         """
         before = self._new_status().position
         longest_s = self.config.heartbeat_s + LOSS_MARGIN_S
@@ -356,7 +364,7 @@ class Dynamixel:
         return CurrentLimits(None, None)
 
     def complaints(self) -> tuple[str, ...]:
-        """Return one line per problem, with its fix; empty if there are no problems."""
+        """Return one line per problem, including the fix; empty if there are no problems."""
         if not self._owned:
             return () if self._trouble is None else (self._trouble,)
         lines = []
@@ -377,7 +385,7 @@ class Dynamixel:
                 f"{self.config.watchdog}, so the servo might not stop if softfin died; end other "
                 "programs that use it"
             )
-        # Measure up to the latest request: softfin sends none while it is paused.
+        # Measure until the latest request, because softfin sends no requests while it is paused.
         silent_s = self._asked - self._time
         if silent_s > self.config.heartbeat_s:
             lines.append(
@@ -404,8 +412,8 @@ class Dynamixel:
 
     @property
     def identity(self) -> dict[str, int | str | None]:
-        """Type, model, ID, firmware and homing offset. With a homing offset, some firmware moves
-        the servo when its bus watchdog trips."""
+        """Type, model, ID, firmware and homing offset. With a homing offset, some firmware versions
+        move the servo when the bus watchdog trips."""
         return {
             "type": self.config.type,
             "model": self.config.model,
@@ -416,8 +424,8 @@ class Dynamixel:
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning that the motor may still be on after a stop; None if the servo confirmed that it
-        is off."""
+        """Warning that the motor may still be on after a stop; None if the servo has confirmed that
+        the motor is off."""
         return UNCONFIRMED if self.powered else None
 
     def _poll(self, answer_s: float = ANSWER_S) -> bool:
@@ -432,7 +440,7 @@ class Dynamixel:
             self._trouble = str(error)
             return False
         if not any(data):
-            # The indirect addresses are back at their defaults, which select themselves.
+            # The indirect addresses have their defaults again, which select themselves.
             self._restarted = True
             return False
         status = Status._make(protocol.STATUS_LAYOUT.unpack(data))
@@ -440,7 +448,7 @@ class Dynamixel:
             self.counted["late answers"] += 1
             return False
         self.status = status
-        # The values are from after `sent`: reported ages are never too short.
+        # The values were measured after `sent`, so reported ages are never too short.
         self._time = sent
         return True
 
@@ -450,7 +458,7 @@ class Dynamixel:
         return self.status
 
     def _new_status(self) -> Status:
-        """Return a new status before the servo is changed; a stop from then on is remembered."""
+        """Return a new status before the servo is changed; any later stop is remembered."""
         if not self._owned:
             raise DeviceError("drive is not open; open it first")
         self.stopped = False
@@ -467,8 +475,8 @@ class Dynamixel:
             delays = self._measure_delays()
             if self.counted["late answers"] < MEASURED_READINGS / 2:
                 break
-            # If a busy computer delays the request with which the estimate of the answers' age
-            # starts, all later answers seem late.
+            # If a busy computer delays the first request of the age estimate, all later answers
+            # seem late.
             self._samples = SampleClock()
             self.counted.clear()
         if len(delays) < 0.9 * MEASURED_READINGS:
@@ -484,7 +492,7 @@ class Dynamixel:
             )
 
     def _measure_delays(self) -> list[float]:
-        """Return the delays of the usable answers to `MEASURED_READINGS` requests [s]."""
+        """Return the delay of each usable answer to `MEASURED_READINGS` requests [s]."""
         delays = []
         for _ in range(MEASURED_READINGS):
             began = self.clock()
@@ -506,8 +514,8 @@ class Dynamixel:
         return None
 
     def _watch_shaft(self, before: int) -> None:
-        """Raise DeviceError if the shaft leaves a position within `SHAFT_WATCHED_S`, or if it
-        cannot be read."""
+        """Raise DeviceError if the shaft leaves a position within `SHAFT_WATCHED_S`, or if its
+        position cannot be read."""
         is_read = False
         moved_rad = 0.0
         for _ in range(round(SHAFT_WATCHED_S / TICK_S)):
@@ -525,7 +533,7 @@ class Dynamixel:
             )
 
     def _send_target(self) -> None:
-        """Send the latest target; the caller holds the link's lock."""
+        """Send the latest target; the caller holds the lock of the link."""
         if self._motion is None or not self.armed:
             return
         try:
@@ -533,7 +541,7 @@ class Dynamixel:
                 protocol.PROFILE_ACCELERATION.address, self._motion, ANSWER_S, "a target"
             )
         except NoAnswer:
-            # The next status shows whether the servo has it.
+            # The next status shows whether the servo has accepted it.
             pass
         except RefusedError as error:
             # softfin's targets are within the servo limits, so DATA_RANGE means that the bus
@@ -555,8 +563,8 @@ class Dynamixel:
             self._send_target()
 
     def _power_up(self, then_arm: bool, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Switch the torque on with the present position as goal and the bus watchdog running; on
-        failure, the motor is off again."""
+        """Switch the torque on, with the present position as the goal and the bus watchdog running;
+        on failure, the motor is off."""
         setup.write(self.link, protocol.BUS_WATCHDOG, 0)
         meanwhile()
         self._motion = None
@@ -575,11 +583,11 @@ class Dynamixel:
         meanwhile()
         try:
             with self.link.lock:
-                # In this order, because a stop sets `stopped` before it looks at `powered`.
+                # In this order, because a stop sets `stopped` before it reads `powered`.
                 self.powered = True
                 self._stop_failed = False
                 self._check_not_stopped()
-                # Before the torque, which is never on without it.
+                # Start the watchdog before the torque, which must never be on without it.
                 self.link.write(protocol.BUS_WATCHDOG, config.watchdog)
                 self.link.write(protocol.TORQUE_ENABLE, 1)
             meanwhile()
@@ -596,8 +604,8 @@ class Dynamixel:
             raise
 
     def _check_position_limits(self) -> None:
-        """Raise RigError if the servo would refuse its present position as goal; a goal at its
-        limit would move the fin while it is being enabled."""
+        """Raise RigError if the servo would refuse the present position as a goal; a goal at the
+        limit would move the fin while the servo is being enabled."""
         position = self._known_status().position
         lowest = self.link.read(protocol.MIN_POSITION_LIMIT)
         highest = self.link.read(protocol.MAX_POSITION_LIMIT)
@@ -612,14 +620,14 @@ class Dynamixel:
             raise DeviceError("drive was stopped while it was being enabled; enable it again")
 
     def _brake_time(self) -> float:
-        """Return the longest time for braking [s]: twice that from the highest velocity, plus ten
-        ticks."""
+        """Return the maximum braking time [s]: twice the braking time from the highest velocity,
+        plus ten ticks."""
         return 2 * self.config.fastest_rad_s / self.config.quick_stop_rad_s2 + 10 * TICK_S
 
     def _come_to_rest(self) -> None:
         """Brake, then switch the torque off; the caller holds `_stopping`.
 
-        The time is counted in ticks, so that a stop ends even if the clock stops.
+        The time is counted in ticks so that a stop ends even if the clock stops.
         """
         is_brief = self._stop_failed
         # Answers may be late, e.g. because the computer is busy.
@@ -627,12 +635,12 @@ class Dynamixel:
         is_fresh = self.clock() - self._time <= 2 * TICK_S or self._poll()
         braking = self._braking_motion(is_fresh)
         attempts = REFUSED if is_brief else round(self._brake_time() / TICK_S)
-        # By the clock as well: at a port that hangs, each attempt takes far longer than a tick.
+        # Also check the clock, because each attempt takes far longer than a tick if the port hangs.
         end = self.clock() + 2 * self._brake_time()
         is_braking = False
         ticks_at_rest = 0
         for _ in range(attempts):
-            # Without a motion, only the torque goes off.
+            # If there is no motion, only switch the torque off.
             if braking is None or self.clock() > end:
                 break
             if not is_braking:
@@ -642,7 +650,7 @@ class Dynamixel:
             if is_new:
                 braking = self._braking(status.position, status.velocity)
                 if not is_fresh:
-                    # The first goal is from an old status, and may turn the fin back.
+                    # The first goal is from an old status and may turn the fin back.
                     is_fresh = True
                     is_braking = self._brake(braking)
             is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
@@ -654,11 +662,11 @@ class Dynamixel:
             answer_s = longest_answer_s if attempt else ANSWER_S
             with suppress(DeviceError):
                 self.link.write(protocol.TORQUE_ENABLE, 0, answer_s)
-            # Not from a status, which a servo that has restarted does not send.
+            # Do not rely on a status, because a servo that has restarted does not send one.
             with suppress(DeviceError):
                 self.powered = self._is_powered(answer_s)
             if not self.powered:
-                # The end of this program should not put a stopped servo into fault.
+                # The end of this program should not cause a fault in a stopped servo.
                 with suppress(DeviceError):
                     self.link.write(protocol.BUS_WATCHDOG, 0, ANSWER_S)
                 self._poll()
@@ -668,19 +676,20 @@ class Dynamixel:
         self._trouble = UNCONFIRMED
 
     def _braking_motion(self, is_fresh: bool) -> bytes | None:
-        """Return the motion that brakes from the latest status; None if it could turn the fin
-        somewhere else.
+        """Return the motion that brakes from the latest status; None if it could turn the fin in
+        the wrong direction.
 
-        From a status that is not fresh, the position is extrapolated, at most to the servo goal.
+        If the status is not fresh, the position is extrapolated, at most to the goal of the servo.
         """
         status = self.status
         if status is None:
-            # Opened again after a stop that was not confirmed: the watchdog has stopped it.
+            # The drive was reopened after an unconfirmed stop, so the watchdog has stopped the
+            # servo.
             return None
         if is_fresh:
             return self._braking(status.position, status.velocity)
         if status.goal != self._goal:
-            # The servo may move in a different direction now.
+            # The servo may now move in a different direction.
             return None
         age_s = self.clock() - self._time
         angle = self.units.angle(status.position) + self.units.velocity(status.velocity) * age_s
@@ -689,12 +698,12 @@ class Dynamixel:
         return self._braking(position, 0 if position in ends else status.velocity)
 
     def _braking(self, position: int, velocity: int) -> bytes:
-        """Return the motion command that ends at the servo's stopping position."""
+        """Return the motion command that ends at the stopping position of the servo."""
         config = self.config
         velocity_rad_s = self.units.velocity(velocity)
         # Braking distance: v^2 / (2 a).
         way_rad = velocity_rad_s * abs(velocity_rad_s) / (2 * config.quick_stop_rad_s2)
-        # The servo refuses goals outside its limits, which a braking fin does not reach.
+        # The servo refuses goals outside its limits; a braking fin does not reach them.
         lowest, highest = position_range(config)
         goal = self.units.position(self.units.angle(position) + way_rad)
         goal = min(max(goal, min(lowest, position)), max(highest, position))
@@ -710,7 +719,7 @@ class Dynamixel:
         try:
             self.link.write_bytes(address, motion, ANSWER_S, "a stop")
         except RefusedError as error:
-            # The bus watchdog has stopped it already.
+            # The bus watchdog has already stopped the servo.
             return error.code == Refusal.DATA_RANGE
         except DeviceError:
             return False
@@ -720,22 +729,22 @@ class Dynamixel:
         return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
 
     def _brake_foreign_motion(self) -> None:
-        """Brake a servo that another program has powered, until it is at rest."""
+        """Brake a servo powered by a different program until it is at rest."""
         with suppress(DeviceError):
             setup.answer_everything(self.link)
-        # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
-        # power the motor.
+        # A goal is sent only if the motor is on, because it could power the motor, depending on the
+        # drive mode.
         if self._try_until(lambda: not self._is_powered() or self._brake_now(), 0.0):
             self._try_until(self._is_at_rest, self._brake_time())
 
     def _brake_now(self) -> bool:
-        """Brake a servo that another program has powered; return whether it has this goal."""
+        """Brake a servo powered by a different program; return whether it has accepted the goal."""
         data = self.link.read_bytes(
             protocol.PRESENT_VELOCITY.address, _PRESENT.size, SETUP_ANSWER_S, "its motion"
         )
         velocity, position = _PRESENT.unpack(data)
         lowest, highest = position_range(self.config, OVERSHOOT_RAD)
-        # A goal from elsewhere would turn the fin.
+        # A goal from a different position would turn the fin.
         return lowest <= position <= highest and self._brake(self._braking(position, velocity))
 
     def _is_at_rest(self) -> bool:
@@ -751,12 +760,13 @@ class Dynamixel:
 
 
 def _is_applied(homing_offset: int) -> bool:
-    """Return whether a servo applies its homing offset; in position mode, it ignores larger
-    ones."""
+    """Return whether a servo applies a homing offset; in position mode, it ignores large
+    offsets."""
     return abs(homing_offset) <= protocol.MAX_HOMING_OFFSET
 
 
-# The servo only answers: its faults are found by `read`, in the loop that reacts to them.
+# The servo only responds to requests, so faults are found by `read` in the loop that reacts to
+# them.
 DYNAMIXEL = DriveType(
     DynamixelConfig, lambda config, bus, clock, on_fault: Dynamixel(config, clock)
 )

@@ -1,7 +1,7 @@
 """Instructions to one servo and its responses, over a serial port.
 
-The port is half-duplex: an instruction is sent only after the answer to the one before, or after
-its time is over. Any thread may send; the lock keeps instructions apart.
+The port is half-duplex: an instruction is sent only after the answer to the previous one has
+arrived or timed out. Any thread may send; the lock separates instructions.
 """
 
 import contextlib
@@ -24,14 +24,16 @@ from softfin.rig.devices.dynamixel.protocol import (
 )
 
 READ_STEP_S = 0.002
-"""Longest wait of one read [s]."""
+"""Maximum wait of one read [s]."""
 
 WRITE_TIMEOUT_S = 0.05
 LINK_TIMEOUT_S = 0.15
-"""Longest wait for another thread's instruction [s]: a thread that hangs must not block a stop."""
+"""Maximum wait for an instruction of a different thread [s]; a thread that hangs must not block a
+stop."""
 
 SETUP_ANSWER_S = 0.1
-"""Longest wait for an answer outside the loop [s]; a write to the EEPROM takes longer."""
+"""Maximum wait for an answer outside the loop [s]; writing to the EEPROM takes longer than other
+instructions."""
 
 
 class NoAnswer(DeviceError):
@@ -39,21 +41,21 @@ class NoAnswer(DeviceError):
 
 
 class ServoLink:
-    """Link to the servo of a configuration."""
+    """Link to the configured servo."""
 
     def __init__(self, config: DynamixelConfig, clock: Computer) -> None:
         self.name = f"servo {config.id} on {config.port}"
         self.counters: Counter[str] = Counter()
         self.lock = clock.lock()
         """Held during each instruction; re-entrant, because a signal handler that stops the drive
-        may interrupt one."""
+        may interrupt an instruction."""
         self._config = config
         self._clock = clock
         self._parser = PacketParser()
         self._port: SerialPort | None = None
 
     def open(self, exclusive: bool = True) -> None:
-        """Open the port; raises DeviceError."""
+        """Open the port; raises DeviceError on failure."""
         self.close()
         self.counters.clear()
         self._port = self._clock.open_serial_port(
@@ -63,8 +65,8 @@ class ServoLink:
             write_timeout_s=WRITE_TIMEOUT_S,
             exclusive=exclusive,
         )
-        # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
-        # do not have this setting; `open` of the drive measures the delay in any case.
+        # Otherwise, FTDI USB adapters such as the U2D2 delay answers by 16 ms. Other ports do not
+        # have this setting; `open` of the drive always measures the delay.
         with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
 
@@ -77,37 +79,38 @@ class ServoLink:
                 port.close()
 
     def ping(self) -> tuple[int, int]:
-        """Return model number and firmware version; raises DeviceError."""
+        """Return model number and firmware version; raises DeviceError on failure."""
         data = self._transact(Instruction.PING, b"", 3, SETUP_ANSWER_S, "a ping")
         return int.from_bytes(data[:2], "little"), data[2]
 
     def read(self, entry: Entry, answer_s: float = SETUP_ANSWER_S) -> int:
-        """Read an entry; raises DeviceError."""
+        """Read an entry; raises DeviceError on failure."""
         data = self.read_bytes(entry.address, entry.layout.size, answer_s, str(entry))
         return int(entry.layout.unpack(data)[0])
 
     def write(self, entry: Entry, value: int, answer_s: float = SETUP_ANSWER_S) -> None:
-        """Write an entry; raises DeviceError."""
+        """Write an entry; raises DeviceError on failure."""
         self.write_bytes(entry.address, entry.layout.pack(value), answer_s, str(entry))
 
     def read_bytes(self, address: int, size: int, answer_s: float, what: str) -> bytes:
-        """Read bytes; raises DeviceError, which mentions `what`."""
+        """Read bytes; on failure, raises DeviceError, which mentions `what`."""
         request = struct.pack("<HH", address, size)
         return self._transact(Instruction.READ, request, size, answer_s, what)
 
     def write_bytes(self, address: int, data: bytes, answer_s: float, what: str) -> None:
-        """Write bytes; raises DeviceError, which mentions `what`."""
+        """Write bytes; on failure, raises DeviceError, which mentions `what`."""
         request = struct.pack("<H", address) + data
         self._transact(Instruction.WRITE, request, 0, answer_s, what)
 
     def write_unanswered(self, entry: Entry, value: int) -> None:
-        """Send an entry without waiting for the answer; raises DeviceError."""
+        """Write an entry without waiting for the answer; raises DeviceError if the port cannot be
+        used."""
         request = struct.pack("<H", entry.address) + entry.layout.pack(value)
         with self._using_port() as port:
             port.write(encode_packet(Packet(self._config.id, Instruction.WRITE, request)))
 
     def reboot(self) -> None:
-        """Restart the servo; raises DeviceError."""
+        """Restart the servo; raises DeviceError on failure."""
         self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
 
     @contextlib.contextmanager
@@ -120,7 +123,7 @@ class ServoLink:
                 raise DeviceError(f"{self.name}: not open; open it first")
             yield self._port
         except (OSError, TypeError) as error:
-            # pyserial raises TypeError if its port is closed meanwhile.
+            # pyserial raises TypeError if the port is closed in the meantime.
             raise DeviceError(
                 f"{self.name}: port cannot be used ({one_line(error)}); check its cable and "
                 "adapter, then start again"
@@ -131,12 +134,12 @@ class ServoLink:
     def _transact(
         self, instruction: Instruction, request: bytes, size: int, answer_s: float, what: str
     ) -> bytes:
-        """Send an instruction and return the data of its answer, which has `size` bytes."""
+        """Send an instruction and return the data of the answer, which has `size` bytes."""
         with self._using_port() as port:
-            # Late answers must not be taken for the next one. If a second program takes them first,
-            # this is an error, but the instruction, which may be a stop, must be sent.
-            # `reset_input_buffer` raises termios.error, which is not an OSError, at an unplugged
-            # port.
+            # A late answer must not be mistaken for the next answer. If a second program reads it
+            # first, an error occurs here, but the instruction must still be sent, because it may be
+            # a stop. `reset_input_buffer` raises termios.error, which is not an OSError, at an
+            # unplugged port.
             with contextlib.suppress(OSError):
                 port.read(port.in_waiting)
             self._parser.clear()
@@ -159,14 +162,15 @@ class ServoLink:
         return answer[1:]
 
     def _await_answer(self, port: SerialPort, size: int, end: float) -> bytes | None:
-        """Return the error byte and data of the answer; None if none arrives in time."""
+        """Return the error byte and data of the answer; None if no answer arrives in time."""
         while True:
             errors = self._parser.crc_errors
             packets = self._parser.feed(port.read(max(1, port.in_waiting)))
             self.counters["crc errors"] += self._parser.crc_errors - errors
             for packet in packets:
                 is_ours = packet.servo_id == self._config.id
-                # A refusal has no data. Adapters may echo what we send: not a status packet.
+                # A refusal has no data. Adapters may echo sent packets, which are not status
+                # packets.
                 if (
                     is_ours
                     and packet.instruction == Instruction.STATUS

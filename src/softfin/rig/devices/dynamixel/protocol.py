@@ -1,16 +1,16 @@
-"""Packets of Dynamixel Protocol 2.0, and the control table of the X series: data in, data out.
+"""Packets of Dynamixel Protocol 2.0 and the control table of the X series, without I/O.
 
 Sources: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0" for packets and errors, "XM430-W350" for the
-control table, and its pages on single entries (Bus Watchdog, Drive Mode, Homing Offset, Shutdown,
-Indirect Data). Units and models are in `core.dynamixel`. The CRC is checked against the packets
-printed there. Nothing has been tested with a real servo yet. We did not find these facts there, so
-check them first: the torque stays on after the bus watchdog has tripped, position limits apply to
-positions that include the homing offset, the indirect addresses may be written at any time, and a
-restart sets them back.
+control table, and the pages on single entries (Bus Watchdog, Drive Mode, Homing Offset, Shutdown,
+Indirect Data). Units and models are in `core.dynamixel`. The CRC is tested against packets printed
+in the e-Manual. Nothing has been tested with a real servo yet. The e-Manual does not state the
+following, so check it first: the torque stays on after the bus watchdog has tripped, position
+limits apply to positions that include the homing offset, the indirect addresses may be written at
+any time, and a restart resets them.
 
-softfin does not use ROBOTIS's `dynamixel-sdk`: it waits in busy loops on the computer's clock, so
-it cannot run in simulated time, and it rejects an instruction while another thread waits for an
-answer, which could be a stop. The tests also use it to read the emulated servo.
+softfin does not use `dynamixel-sdk` from ROBOTIS. The SDK waits in busy loops on the real clock, so
+it cannot run in simulated time, and it rejects an instruction, which could be a stop, while a
+different thread waits for an answer. The tests use the SDK to read the emulated servo.
 """
 
 import struct
@@ -20,11 +20,11 @@ from typing import NamedTuple
 PACKET_HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 MAX_PACKET_BYTES = 256
-"""Longest packet that softfin accepts; longer ones are garbled lengths."""
+"""Maximum packet size that softfin accepts; larger sizes are garbled."""
 
 
 class Instruction(IntEnum):
-    """Instructions that softfin and its emulator know."""
+    """Instructions that softfin and its emulator support."""
 
     PING = 0x01
     READ = 0x02
@@ -35,7 +35,7 @@ class Instruction(IntEnum):
 
 
 ALERT = 0x80
-"""Bit of a status packet's error byte: the hardware error status is not zero."""
+"""Bit in the error byte of a status packet: the hardware error status is not zero."""
 
 
 class Refusal(IntEnum):
@@ -88,7 +88,7 @@ def encode_packet(packet: Packet) -> bytes:
 
 
 class PacketParser:
-    """Finds packets in a stream of bytes that may be cut, garbled or mixed with others."""
+    """Finds packets in a byte stream that may be truncated, garbled or mixed with other data."""
 
     def __init__(self) -> None:
         self.crc_errors = 0
@@ -109,7 +109,7 @@ class PacketParser:
             if len(packet) < end:
                 break
             if crc16(packet[: end - 2]) != int.from_bytes(packet[end - 2 : end], "little"):
-                # Not past its end: the length may be what is garbled.
+                # Do not skip to the end of the packet, because its length may be garbled.
                 self._skip_header()
                 continue
             self._rest = packet[end:]
@@ -170,18 +170,18 @@ POSITION_TRAJECTORY = Entry(140, "i", "Position Trajectory")
 PRESENT_INPUT_VOLTAGE = Entry(144, "H", "Present Input Voltage")
 INDIRECT_ADDRESS = 168
 INDIRECT_DATA = 224
-"""Start of the 28 indirect addresses of two bytes each, and of the bytes that they select."""
+"""Start of the 28 indirect addresses (two bytes each) and of the bytes that they select."""
 
 EEPROM_END = 64
-"""First address of the RAM. What is below survives a power loss, and can only be written while the
+"""First address of the RAM. Entries below it survive a power loss and can be written only while the
 torque is off."""
 
 POSITION_MODE = 3
 FIRST_FIRMWARE = 38
-"""First firmware version with a bus watchdog. DynamixelSDK issue 584 reports a fault in unspecified
-versions: with a homing offset, the servo moves when its bus watchdog trips."""
+"""First firmware version with a bus watchdog. DynamixelSDK issue 584 reports a bug in unspecified
+versions: with a homing offset, the servo moves when the bus watchdog trips."""
 ALL_STATUS_PACKETS = 2
-"""Status Return Level: every instruction is answered."""
+"""Status Return Level at which every instruction is answered."""
 MAX_HOMING_OFFSET = 1024
 """In position mode, the servo ignores homing offsets of more than a quarter turn."""
 ACCELERATION_UNIT_RPM_MIN = 214.577
@@ -191,8 +191,8 @@ TICK_RANGE = 32_768
 """The realtime tick counts milliseconds and restarts at 0 after 32767."""
 WATCHDOG_UNIT_S = 0.02
 WATCHDOG_TRIPPED = 255
-"""Bus Watchdog (-1 as an unsigned byte): no instruction arrived in time, so the servo has stopped
-and rejects new goals until 0 is written. Its torque stays on."""
+"""Value of Bus Watchdog (-1 as an unsigned byte) after no instruction arrived in time: the servo
+has stopped and rejects new goals until 0 is written. The torque stays on."""
 
 
 class HardwareError(IntFlag):
@@ -208,7 +208,7 @@ class HardwareError(IntFlag):
 SHUTDOWN_DEFAULT = (
     HardwareError.OVERLOAD | HardwareError.ELECTRICAL_SHOCK | HardwareError.OVERHEATING
 )
-"""Errors at which the servo switches its torque off, as delivered."""
+"""Errors at which the servo switches its torque off by factory default."""
 
 FIXES = {
     HardwareError.INPUT_VOLTAGE: ("input voltage", "check the supply and its cable"),
@@ -226,7 +226,7 @@ FIXES = {
 
 
 def error_line(status: int) -> str:
-    """Return the names of the hardware errors and the fix of the first."""
+    """Return the names of the hardware errors and the fix for the first."""
     bits = [bit for bit in FIXES if status & bit]
     if not bits:
         return f"servo reports hardware error 0x{status:02X}; look it up in the e-Manual"
@@ -246,7 +246,8 @@ STATUS_ENTRIES = (
     POSITION_TRAJECTORY,
     PRESENT_INPUT_VOLTAGE,
 )
-"""Entries read at every tick, selected by indirect addresses, so that one read returns them all."""
+"""Entries read at every tick; selected by indirect addresses, so that one read returns all of
+them."""
 
 STATUS_LAYOUT = struct.Struct("<" + "".join(entry.form for entry in STATUS_ENTRIES))
 
@@ -257,7 +258,7 @@ STATUS_ADDRESSES = tuple(
 
 
 class Status(NamedTuple):
-    """Values that the servo reports at every tick, in its own units."""
+    """Values that the servo reports at every tick, in servo units."""
 
     torque: int
     hardware_error: int

@@ -1,15 +1,15 @@
-"""Age of servo responses, from the servo clock in them."""
+"""Age of servo responses, estimated from the servo clock in the responses."""
 
 from softfin.rig.devices.dynamixel.protocol import TICK_RANGE, TICK_UNIT_S
 
 LATE_S = 0.004
-"""Time by which an answer may be older than its request, as estimated [s]."""
+"""Maximum estimated time by which an answer may be older than its request [s]."""
 
 DRIFT = 0.02
-"""Largest assumed difference between the rates of the two clocks."""
+"""Maximum assumed relative difference between the rates of the two clocks."""
 
 FORGOTTEN_S = 5.0
-"""Time after which the estimate starts again [s]; the servo's clock restarts every 33 s."""
+"""Time after which the estimate restarts [s]; the servo clock restarts every 33 s."""
 
 
 class SampleClock:
@@ -20,12 +20,12 @@ class SampleClock:
         self._sent: float | None = None
         self._tick = 0
         self._lead = 0.0
-        """Age of the latest answer compared with the oldest accepted one [s]; at most 0. `DRIFT`
-        makes the estimate forget the oldest one."""
+        """Age of the latest answer relative to the oldest accepted answer [s]; at most 0. `DRIFT`
+        makes the estimate forget the oldest answer."""
 
     def is_late(self, sent: float, tick: int) -> bool:
-        """Return whether a sample with the servo's time `tick` [ms] is older than the request that
-        was sent at `sent` [s]."""
+        """Return whether a sample with the servo time `tick` [ms] is older than the request sent at
+        `sent` [s]."""
         if self._sent is None or sent - self._sent > FORGOTTEN_S:
             lead = 0.0
         else:

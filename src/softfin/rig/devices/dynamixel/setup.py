@@ -1,5 +1,5 @@
-"""Checks of a servo before it is used, and its setup: nothing is stored permanently, apart from the
-zero."""
+"""Checks a servo before it is used and sets it up. Apart from the zero, nothing is stored
+permanently."""
 
 import struct
 from contextlib import suppress
@@ -21,8 +21,8 @@ RESET = "then run: softfin rig check --reset-fault"
 
 
 def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
-    """Return the servo firmware version; raises RigError if it does not answer, or is another
-    model."""
+    """Return the firmware version of the servo; raises RigError if the servo does not respond or is
+    a different model."""
     try:
         number, firmware = link.ping()
     except DeviceError as error:
@@ -47,7 +47,8 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> int:
 
 
 def answer_everything(link: ServoLink) -> None:
-    """Make the servo respond to every instruction, which another program may have changed."""
+    """Make the servo respond to every instruction; a different program may have changed this
+    setting."""
     with suppress(NoAnswer):
         link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
 
@@ -65,13 +66,13 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
             f"the servo enforces the fin's limits in position mode only; set it to "
             f"{protocol.POSITION_MODE}",
         ),
-        # Bit 0 reverses the direction, bit 2 makes a velocity a duration, and with bit 3 a target
-        # would power a motor that has been stopped.
+        # Bit 0 reverses the direction, bit 2 turns velocities into durations, and with bit 3, a
+        # target would power a stopped motor.
         Setting(
             protocol.DRIVE_MODE, (0,), "use drive.direction to reverse the fin, and set it to 0"
         ),
         # Bit 0 powers the motor at power-on, before any program is connected. Bit 1 restores the
-        # indirect addresses, so softfin would not notice a restart.
+        # indirect addresses, so softfin would not detect a restart.
         Setting(
             protocol.STARTUP_CONFIGURATION,
             (0,),
@@ -117,7 +118,7 @@ def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
 
 
 def read_fault(link: ServoLink) -> str | None:
-    """Read the servo fault; None if there is none."""
+    """Return the servo fault, or None if there is no fault."""
     if status := link.read(protocol.HARDWARE_ERROR):
         return error_line(status)
     if link.read(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED:

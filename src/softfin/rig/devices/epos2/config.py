@@ -1,5 +1,4 @@
-"""Configuration of the drive, and conversion to the drive's units: counts, rpm and rpm/s of the
-motor."""
+"""Configuration of the drive, and conversion to drive units: counts, rpm and rpm/s of the motor."""
 
 import math
 from typing import Literal, NamedTuple
@@ -25,12 +24,12 @@ class Epos2Config(DriveConfig):
     gear_ratio: float = Field(gt=0)
     """Motor revolutions per revolution of the fin shaft; 1 without a gearbox."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
     following_error_rad: float = Field(gt=0, le=1)
-    """Following error at which the drive faults [rad]; no default. If it is too large, a blocked
-    fin burns out its motor."""
+    """Following error at which the drive faults [rad]; no default. If this value is too large, a
+    blocked fin burns out its motor."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
-    """Maximum motor current, written to the drive [A]; None keeps the drive's setting."""
+    """Maximum motor current, written to the drive [A]; None keeps the setting of the drive."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Heartbeat timeout of both the drive and the host [s]: if the host hangs, the drive stops
     after this time."""
@@ -42,13 +41,13 @@ class Epos2Config(DriveConfig):
 
     @property
     def summary(self) -> str:
-        """The encoder and the gearbox."""
+        """Encoder and gearbox."""
         return f"{self.encoder_lines} lines, gear {self.gear_ratio:g}"
 
     @property
     def host(self) -> int:
-        """Return this program's node number, which must be unique: another program's heartbeats
-        under it would keep this drive moving."""
+        """Return the node number of this program, which must be unique: heartbeats of a different
+        program with the same number would keep this drive moving."""
         return 127 - self.node if self.host_node is None else self.host_node
 
     @model_validator(mode="after")
@@ -63,7 +62,7 @@ class Epos2Config(DriveConfig):
                 f"node and host_node are both {self.node}; set host_node to a node number that is "
                 "not in use"
             )
-        # The drive's velocities are integers in rpm: at 0 rpm it would never reach a target.
+        # Drive velocities are integers in rpm; at 0 rpm, the drive would never reach a target.
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(
                 f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 rpm at the motor; increase it"
@@ -78,14 +77,14 @@ class Units(NamedTuple):
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
 
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":
         """Return the unit conversion for a drive."""
         # Motor turns per radian of the fin.
         turns_per_rad = config.gear_ratio / (2 * math.pi)
-        # Quadrature: each encoder line gives four edges, and the drive counts all of them.
+        # Quadrature: each encoder line produces four edges, and the drive counts all of them.
         counts_per_rad = turns_per_rad * 4 * config.encoder_lines
         return cls(counts_per_rad, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
 
@@ -98,8 +97,8 @@ class Units(NamedTuple):
         return self.direction * counts / self.counts_per_rad + self.zero
 
     def rpm(self, velocity: float) -> int:
-        """Return the motor speed [rpm] for a fin velocity [rad/s], or rpm/s for rad/s2; always
-        positive."""
+        """Return the motor speed [rpm] for a fin velocity [rad/s], or the acceleration [rpm/s] for
+        a fin acceleration [rad/s2]; always positive."""
         return round(abs(velocity) * self.rpm_per_rad_s)
 
     def velocity(self, rpm: int) -> float:

@@ -1,9 +1,10 @@
 """Connection to the drive: a python-can bus with a receiver thread, and SDO transfers with
 timeouts.
 
-canopen's `Network` is not used: a malformed frame or a single receive error ends its thread, after
-which every send raises, even a quick stop. Its SDO client supports only the real clock. Expedited
-transfers are sufficient, because every object used here fits into one frame.
+The class `Network` of canopen is not used: a malformed frame or a single receive error ends its
+thread, after which sending always fails, even for a quick stop. The SDO client of canopen supports
+only the real clock. Expedited transfers are sufficient, because every object used here fits into
+one frame.
 """
 
 import contextlib
@@ -30,15 +31,15 @@ RECEIVER_CYCLE_S = 0.05
 UPLOAD = 0x40
 DOWNLOADED = 0x60
 ABORTED = 0x80
-"""SDO command specifiers: read request, write confirmed, transfer aborted."""
+"""SDO command specifiers: read request, write confirmation, aborted transfer."""
 
-# Otherwise, python-can's log messages would repeat our errors in the terminal.
+# Otherwise, log messages of python-can would repeat our errors in the terminal.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class CanConnection:
     """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called from the
-    receiver's thread."""
+    receiver thread."""
 
     def __init__(
         self,
@@ -67,7 +68,7 @@ class CanConnection:
 
     @property
     def in_receiver(self) -> bool:
-        """Whether the caller is the receiver's thread, which must not wait for an answer."""
+        """Whether the caller is the receiver thread, which must not wait for an answer."""
         return threading.current_thread() is self._receiver
 
     def open(self) -> None:
@@ -92,7 +93,7 @@ class CanConnection:
     def close(self) -> None:
         """Close the bus; may be called repeatedly and never raises."""
         bus = self._bus
-        # Done first, because the receiver's thread runs until it sees another bus.
+        # Do this first, because the receiver thread runs until `bus` changes.
         self._bus = None
         if self._receiver is not None and not self.in_receiver:
             self._receiver.join(10 * RECEIVER_CYCLE_S)
@@ -129,7 +130,7 @@ class CanConnection:
             self._sending.release()
 
     def read(self, entry: Object) -> int:
-        """Read an object of the drive; raises DeviceError."""
+        """Read an object of the drive; raises DeviceError on failure."""
         size = entry.layout.size
         # 0x43 | (unused bytes << 2) indicates the size; 0x42 is an answer without a size.
         allowed = (0x43 | 4 - size << 2, 0x42)
@@ -139,20 +140,20 @@ class CanConnection:
         return int(entry.layout.unpack(answer[4 : 4 + size])[0])
 
     def write(self, entry: Object, value: int) -> None:
-        """Write an object of the drive; raises DeviceError."""
+        """Write an object of the drive; raises DeviceError on failure."""
         self._transfer(entry, download(entry, value), (DOWNLOADED,))
 
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """Send an SDO request and return the answer, which must start with one of the allowed
         commands."""
-        # The receiver's thread would wait for an answer that only it can receive.
+        # The receiver thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
                 f"drive's {entry} cannot be accessed: an earlier request is still pending; try "
                 "again"
             )
         try:
-            # Before sending, because the receiver's thread may get the answer before `send`
+            # Do this before sending, because the receiver thread may get the answer before `send`
             # returns.
             self._answered.clear()
             self._request = request
@@ -178,7 +179,7 @@ class CanConnection:
         return answer
 
     def _receive(self, bus: can.BusABC) -> None:
-        """Run the receiver's thread, which no frame or error can end."""
+        """Run the receiver thread, which no frame or error can end."""
         self._receiver = threading.current_thread()
         while self._bus is bus:
             try:
@@ -213,19 +214,18 @@ class CanConnection:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1
-        # An answer contains the index of its object, so late answers to earlier requests are
-        # dropped.
+        # Answers contain the object index, so late answers to earlier requests can be dropped.
         elif self._request and data[1:4] == self._request[1:4]:
             self._answer = data
             self._answered.set()
 
     def _count_errors(self, classes: int, data: bytes) -> None:
-        """Count the errors in an error frame, and report an adapter that is bus-off or about to
-        be."""
+        """Count the errors in an error frame, and report an adapter that is bus-off or close to
+        it."""
         names = protocol.bus_errors(classes, data)
         self.counters.update(names)
-        # CAN controllers retransmit a frame after an error: that takes a fraction of a millisecond
-        # and is no reason to stop.
+        # CAN controllers retransmit a frame after an error, which takes a fraction of a millisecond
+        # and does not require a stop.
         for name in names:
             if name in protocol.BUS_FAILURES:
                 self._on_problem(
@@ -234,7 +234,7 @@ class CanConnection:
 
 
 def download(entry: Object, value: int) -> bytes:
-    """Return the SDO request that writes an object; raises DeviceError if the value is out of its
+    """Return the SDO request that writes an object; raises DeviceError if the value is out of
     range."""
     unused = 4 - entry.layout.size
     try:

@@ -1,8 +1,8 @@
 """Driver for a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to
 a safe stop.
 
-The control loop's thread makes all calls except `stop`, which any thread may call. Tested with our
-emulator, not yet with a real drive.
+The thread of the control loop makes all calls except `stop`, which any thread may call. Tested with
+our emulator, not yet with a real drive.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ from softfin.rig.machine import Target
 from softfin.rig.safety import accept_target
 
 ANSWER_S = 0.006
-"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
+"""Maximum wait for drive answers per tick [s]; answers take 1 ms on a real bus, and longer on a
 busy computer."""
 
 BEAT_TICKS = 4
@@ -29,22 +29,22 @@ BEAT_TICKS = 4
 
 RESET_TIMEOUT_S = 1.0
 LIMITED_S = 0.1
-"""Time for which the drive may run into one of its internal limits [s]; a steep stroke reaches one
-for milliseconds."""
+"""Time for which the drive may be at one of its internal limits [s]; a steep stroke reaches a limit
+for some milliseconds."""
 FIRST_ANSWER_S = 0.5
 STOP_TIMEOUT_S = 3.0
-"""Longest wait for another stop in progress [s]."""
+"""Maximum wait for another stop in progress [s]."""
 ANSWER_STEP_S = 0.01
 UNANSWERED = 3
-"""Number of consecutive unanswered handshakes that counts as a problem."""
+"""Number of consecutive unanswered handshakes after which a problem is reported."""
 
 
 class Epos2(Exchange):
     """An EPOS2 drive: open, enable, command, stop. `on_fault` may call `stop`."""
 
     def connect(self) -> None:
-        """Connect to the node in any state without changing anything; raises RigError or
-        DeviceError."""
+        """Connect to the node, in any state, without changing anything; raises RigError or
+        DeviceError on failure."""
         self.device_lock.acquire(self.clock)
         self.reset()
         try:
@@ -58,8 +58,8 @@ class Epos2(Exchange):
             raise
 
     def open(self) -> None:
-        """Connect, check, write the limits and start the node; the motor stays off. On failure,
-        close again."""
+        """Connect, run checks, write the limits and start the node; the motor stays off. On
+        failure, close the drive."""
         self.connect()
         try:
             self.notes = procedures.check_setup(self.connection, self.config)
@@ -113,12 +113,12 @@ class Epos2(Exchange):
         )
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]."""
+        """Return the current shaft angle [rad]."""
         return self.sync_and_read(0.02).angle
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its description; None if there was none. Raises
-        DeviceError if the fault persists.
+        """Acknowledge the drive fault and return its description; None if there was no fault.
+        Raises DeviceError if the fault persists.
 
         The motor stays off. The drive must be reopened before it can be enabled.
         """
@@ -131,8 +131,8 @@ class Epos2(Exchange):
             self.owned = False
         if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
             self._reset_communication()
-        # Otherwise the drive would fault again at once, because the previous host no longer sends
-        # heartbeats.
+        # Otherwise, the drive would immediately fault again, because the previous host no longer
+        # sends heartbeats.
         self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
@@ -145,8 +145,8 @@ class Epos2(Exchange):
         raise DeviceError(f"drive is still in fault: {fault}; the cause is still present")
 
     def command(self, target: Target) -> None:
-        """Move to the target, replacing the previous one; raises CommandError if it is outside the
-        limits and DeviceError if the drive is not enabled."""
+        """Move to the target, replacing the previous one; raises CommandError if the target is
+        outside the limits, and DeviceError if the drive is not enabled."""
         angle, velocity = accept_target(target, self.config.limits)
         counts = self.units.counts(angle)
         rpm = self.units.rpm(velocity)
@@ -157,7 +157,7 @@ class Epos2(Exchange):
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:
-        """Return one line per problem, with its fix; empty if there are no problems."""
+        """Return one line per problem, including the fix; empty if there are no problems."""
         with self.lock:
             status = self.status
             fault = self.status.fault()
@@ -203,7 +203,7 @@ class Epos2(Exchange):
 
     @property
     def where(self) -> str:
-        """The drive's bus, and its number there."""
+        """Bus of the drive, and its number on the bus."""
         return f"{self.bus.interface} {self.bus.channel}, node {self.config.node}"
 
     @property
@@ -218,7 +218,7 @@ class Epos2(Exchange):
         yield from (CheckResult("drive setup", "note", note) for note in self.notes)
 
     def current_limits(self) -> CurrentLimits:
-        """Return the open drive's limits for the motor's current."""
+        """Return the limits of the open drive for the motor current."""
         limits_a: list[float | None] = []
         for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT):
             limit_ma = procedures.read_optional(self.connection, entry)
@@ -227,8 +227,8 @@ class Epos2(Exchange):
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Warning that the motor may still be on after a stop; None if the drive confirmed that it
-        is off."""
+        """Warning that the motor may still be on after a stop; None if the drive has confirmed that
+        the motor is off."""
         return UNCONFIRMED if self.powered else None
 
     @property
@@ -242,10 +242,10 @@ class Epos2(Exchange):
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
-        motor is off again.
+        """Power the motor, which holds its position. If this raises RigError or DeviceError, the
+        motor is off.
 
-        This takes up to one second; `meanwhile` is called every few milliseconds, so that other
+        This takes up to one second; `meanwhile` is called every few milliseconds so that other
         devices can be read.
         """
         angle = self._new_reading().angle
@@ -261,8 +261,8 @@ class Epos2(Exchange):
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def zero(self) -> None:
-        """Make the current position the drive's zero (homing method 35); the motor is powered, but
-        nothing moves."""
+        """Make the current position the zero of the drive (homing method 35); the motor is powered,
+        but nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)
         with stopped_afterwards(self):
@@ -280,10 +280,10 @@ class Epos2(Exchange):
         not fault. The drive must be reopened afterwards.
         """
         self._new_reading()
-        # In homing mode, as in `zero`: a fin that has not been zeroed may be outside the
-        # drive's position limits.
+        # Use homing mode, as in `zero`, because a fin that has not been zeroed may be outside the
+        # position limits of the drive.
         procedures.set_mode(self.connection, protocol.HOMING)
-        # The fault is expected: `on_fault` must not stop the drive before it stops by itself.
+        # The fault is expected, and `on_fault` must not stop the drive before it stops by itself.
         on_fault = self.on_fault
         self.on_fault = None
         try:
@@ -297,7 +297,7 @@ class Epos2(Exchange):
 
     def switch_off(self) -> None:
         """Stop the drive unconditionally, no matter which program powered it; raises DeviceError if
-        the motor is not confirmed off."""
+        the motor is not confirmed to be off."""
         problem = self._switch_off()
         if problem is None:
             return
@@ -313,7 +313,7 @@ class Epos2(Exchange):
             raise DeviceError(problem)
 
     def _switch_off(self) -> str | None:
-        """Switch the motor off; return the problem if it is not confirmed to be off."""
+        """Switch the motor off; return the problem if the motor is not confirmed to be off."""
         self.reset()
         try:
             self.connection.open()
@@ -334,10 +334,10 @@ class Epos2(Exchange):
             if not self.powered:
                 return
             if self.connection.in_receiver or not free:
-                # The rest of the stop needs answers from the receiver's thread, and must not block
-                # on a bus that hangs, so it runs in its own thread. There is one such thread at a
+                # The rest of the stop needs answers from the receiver thread and must not block if
+                # the bus hangs, so it runs in its own thread. There is only one such thread at a
                 # time and none after a failure: a lost bus reports an error every 50 ms, and the
-                # threads would delay the loop's own stop.
+                # threads would delay the stop by the loop.
                 if self.waiting_stop != generation and not self.rest_failed:
                     self.waiting_stop = generation
                     self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
@@ -347,7 +347,7 @@ class Epos2(Exchange):
             self.trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def _new_reading(self) -> DriveStatus:
-        """Return a new status before powering the motor up; a stop from then on is remembered."""
+        """Return a new status before the motor is powered; any later stop is remembered."""
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
         with self.lock:
@@ -374,14 +374,14 @@ class Epos2(Exchange):
             )
 
     def _reset_communication(self) -> None:
-        """Reset the node's communication and wait for its boot-up message; the drive keeps its
+        """Reset the communication of the node and wait for its boot-up message; the drive keeps its
         zero."""
         self.status.rebooted = False
         self.connection.send(
             protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node])
         )
         with self.lock:
-            # A missing boot-up message is not an error: what matters is whether the fault clears.
+            # A missing boot-up message is not an error; only the fault must clear.
             self.lock.wait_for(lambda: self.status.rebooted, RESET_TIMEOUT_S)
             self.status.rebooted = False
 
@@ -414,11 +414,11 @@ class Epos2(Exchange):
             raise
 
     def _come_to_rest(self, generation: int) -> None:
-        """Finish a stop, unless the drive has been powered up again: this stop must not mark that
-        motor as off."""
+        """Finish a stop unless the drive has been powered up again, because this stop must not then
+        mark the motor as off."""
         is_acquired = self.stopping.acquire(timeout=STOP_TIMEOUT_S)
-        # From here on, another stop must start its own thread: this one may already have passed the
-        # point that it needs.
+        # From here on, another stop must start its own thread, because this thread may have already
+        # passed the step that the other stop needs.
         self.waiting_stop = None
         if not is_acquired:
             return
@@ -427,8 +427,8 @@ class Epos2(Exchange):
                 return
             if procedures.rest(self):
                 self.powered = False
-                # The host's heartbeat ends with the program, which should not put a stopped drive
-                # into fault.
+                # The host heartbeat ends with the program, which should not cause a fault in a
+                # stopped drive.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
             else:
                 self.rest_failed = True

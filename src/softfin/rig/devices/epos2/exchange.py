@@ -1,9 +1,8 @@
-"""Communication between host and drive: SYNC, process data, heartbeats, new targets and the quick
-stop.
+"""Communication between host and drive: SYNC, process data, heartbeats, new targets and quick stop.
 
-Frames are processed in the receiver's thread; the caller's thread sends everything else. Frames
-that could move the fin are sent only while holding the lock with `armed` set, so that none can
-follow a stop.
+The receiver thread processes received frames; the thread of the caller sends frames. Frames that
+could move the fin are sent only while the lock is held and `armed` is set, so that no such frame
+can follow a stop.
 """
 
 from collections import Counter
@@ -20,22 +19,24 @@ from softfin.rig.devices.epos2.protocol import Bit, State
 from softfin.rig.lock import DeviceLock
 
 PATIENCE_TICKS = 6
-"""Ticks within which the drive must acknowledge a target; it sends one statusword per tick."""
+"""Number of ticks within which the drive must acknowledge a target; it sends one statusword per
+tick."""
 BEATS_AFTER_STOP = 3
-"""Number of heartbeats sent after a stop that the drive does not obey; an answer may be a few ticks
-late."""
+"""Number of heartbeats sent after a stop that the drive does not obey, because an answer may be a
+few ticks late."""
 LOCK_TIMEOUT_S = 0.05
-"""Longest wait of a stop for the lock [s]: a thread that hangs in a send must not block a stop."""
+"""Maximum wait of a stop for the lock [s]; a thread that hangs while sending must not block a
+stop."""
 
 _SENT = tuple(protocol.layout(each) for each in protocol.SENT)
 _WORD_AND_TARGET, _VELOCITY = (protocol.layout(each) for each in protocol.TAKEN)
 _SIZES = {protocol.HEARTBEAT: 1, protocol.EMERGENCY: 8}
 _SIZES |= {pdo: each.size for pdo, each in zip(protocol.TPDO, _SENT, strict=True)}
-"""Length of each kind of frame [bytes]."""
+"""Length of each type of frame [bytes]."""
 ALL = (1 << len(_SENT)) - 1
 
 Setpoint: TypeAlias = tuple[int, int]
-"""A target in the drive's units: position [counts] and velocity [rpm]."""
+"""A target in drive units: position [counts] and velocity [rpm]."""
 
 
 class DriveStatus:
@@ -48,7 +49,7 @@ class DriveStatus:
         self.position = 0
         """Position [counts]."""
         self.angle = self.demand = units.angle(0)
-        """Fin angle and the drive's demanded angle [rad]."""
+        """Fin angle, and angle demanded by the drive [rad]."""
         self.velocity = 0.0
         """Fin angular velocity [rad/s]."""
         self.current = 0.0
@@ -58,19 +59,20 @@ class DriveStatus:
         self.sync_time = 0.0
         """Time of the last SYNC, at which the drive samples its values [s]."""
         self.time = 0.0
-        """Time of the last SYNC that all TPDOs have answered [s]; no value is older."""
+        """Time of the last SYNC after which all TPDOs were received [s]; no value is older."""
         self.heartbeat_time = 0.0
         self.nmt: int | None = None
         self.emergency: int | None = None
         self.rebooted = False
         self.limited_since: float | None = None
-        """Time at which the drive started to report an active internal limit [s]; None if none is
-        active."""
+        """Time at which the drive started to report an active internal limit [s]; None if no limit
+        is active."""
         self.counters: Counter[str] = Counter()
 
     @property
     def state(self) -> State | None:
-        """State in the latest statusword; None before the first one and for an unknown state."""
+        """State in the latest statusword; None before the first statusword and for an unknown
+        state."""
         return None if self.statusword is None else protocol.decode(self.statusword)
 
     @property
@@ -88,7 +90,7 @@ class DriveStatus:
         return bool((self.statusword or 0) & bit)
 
     def fault(self) -> str | None:
-        """Return the drive's fault according to its emergency message, boot-up message or
+        """Return the fault of the drive according to its emergency message, boot-up message or
         statusword."""
         if self.emergency is not None:
             return protocol.fault_line(self.emergency)
@@ -102,15 +104,15 @@ class DriveStatus:
 
     def synchronise(self, now: float) -> None:
         """Reset the answers before a SYNC is sent at time `now` [s]."""
-        # Counting starts with the first complete set of answers: before that, the node may not be
-        # operational yet.
+        # Counting starts after the first complete set of answers, because the node may not be
+        # operational before.
         self.counters["syncs without all answers"] += self.time > 0 and not self.new
         self.answered = 0
         self.sync_time = now
 
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
-        """Decode one frame; frames from other nodes are ignored. Return a message if it reports a
-        new fault."""
+        """Decode one frame; frames from other nodes are ignored. Return a message if the frame
+        reports a new fault."""
         # CiA 301: bits 7 to 10 are the function code, bits 0 to 6 the node number.
         function = cob_id & 0x780
         node = cob_id & 0x7F
@@ -136,7 +138,7 @@ class DriveStatus:
 
     def _take_emergency(self, data: bytes) -> str | None:
         code = int.from_bytes(data[:2], "little")
-        # Keep the first code, which is the cause: subsequent errors must not hide it.
+        # Keep the first code, which is the cause and must not be hidden by subsequent errors.
         self.emergency = None if code == 0 else self.emergency or code
         return protocol.fault_line(code) if code else None
 
@@ -152,7 +154,7 @@ class DriveStatus:
                 self.limited_since = now
         elif which == 1:
             self.velocity = self._units.velocity(values[0])
-            # The drive sends mA.
+            # The drive sends the current in mA.
             self.current = values[1] / 1000
         else:
             self.demand = self._units.angle(values[0])
@@ -164,11 +166,12 @@ class DriveStatus:
 
 
 class Handshake:
-    """The handshake for new targets of an EPOS2; `patience` is the longest wait for an answer [s].
+    """The handshake for new targets of an EPOS2; `patience` is the maximum wait for an answer [s].
 
     The host sets bit 4 of the controlword with the target; the drive sets bit 12 of the statusword;
     the host clears bit 4 and the drive clears bit 12 (maxon "EPOS2 Firmware Specification",
-    rel5466). A target that arrives during a handshake waits; a newer one replaces it.
+    rel5466). A target that arrives during a handshake waits until the end of the handshake; a newer
+    target replaces it.
     """
 
     def __init__(self, patience: float) -> None:
@@ -177,7 +180,7 @@ class Handshake:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything, because the drive was stopped or is being enabled again."""
+        """Reset the handshake after a stop or before the drive is enabled again."""
         self._is_raised = False
         self._since = 0.0
         self.waiting: Setpoint | None = None
@@ -185,7 +188,7 @@ class Handshake:
         self.current: Setpoint | None = None
         """Target that the drive has or is receiving."""
         self.unanswered = 0
-        """Number of consecutive times that the drive did not acknowledge a target."""
+        """Number of consecutive targets that the drive did not acknowledge."""
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
         """Return the next transmission: a target (sets bit 4), True (clears bit 4), or None."""
@@ -200,15 +203,15 @@ class Handshake:
             else:
                 self.unanswered += 1
                 self.repeated += 1
-                # Send the unacknowledged target again, unless there is a newer one.
+                # Send the unacknowledged target again unless there is a newer target.
                 self.waiting = self.waiting or self.current
             return True
         if self.waiting is None or (acknowledged and not late):
             return None
         self._since = now
         if acknowledged:
-            # The drive accepts no target while its bit 12 is set: the frame that clears bit 4 may
-            # have been lost.
+            # The drive accepts no target while bit 12 is set; the frame that clears bit 4 may have
+            # been lost.
             self.unanswered += 1
             return True
         self._is_raised = True
@@ -218,8 +221,8 @@ class Handshake:
 
 
 class Exchange:
-    """One drive on one bus; `on_fault(line)` is called from the receiver's thread within
-    milliseconds of a fault."""
+    """One drive on one bus; `on_fault(line)` is called from the receiver thread within milliseconds
+    of a fault."""
 
     def __init__(
         self,
@@ -236,33 +239,33 @@ class Exchange:
         self.clock = clock
         self.on_fault = on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
-        # If the bus is reached over a network, the channel alone does not identify the computer.
+        # If the bus is on a network, the channel alone does not identify the computer.
         server = [bus.options[name] for name in ("host", "port") if name in bus.options]
         name = f"drive {config.node} on {self.connection.name}"
         self.device_lock = DeviceLock(name, bus.interface, *server, bus.channel, config.node)
-        """Acquired by `connect`, so that no second program uses the drive."""
+        """Lock acquired by `connect` so that no second program uses the drive."""
         self.lock = clock.condition()
-        """Guards the attributes below; notified after every frame."""
+        """Protects the attributes below; notified after every frame."""
         self.stopping = clock.lock()
         """Lock held while a stop brings the motor to rest."""
         self.powered = False
-        """Whether the motor may be powered; False only after the drive has confirmed that it is
-        off."""
+        """Whether the motor may be powered; False only after the drive has confirmed that the motor
+        is off."""
         self.own_ids = protocol.host_cob_ids(config.host)
         """COB-IDs reserved for this program."""
         self.beats_left = BEATS_AFTER_STOP
         """Number of heartbeats still allowed for a drive that does not obey a stop."""
         self.waiting_stop: int | None = None
-        """Generation whose stop is being finished by a separate thread; None if there is no such
+        """Generation whose stop is being completed by a separate thread; None if there is no such
         thread."""
         self.rest_failed = False
         """Whether a stop since the last power-up was not confirmed; later stops are then brief."""
         self.generation = 0
-        """Number of power-ups of the motor; each stop belongs to one of them."""
+        """Number of power-ups of the motor; each stop belongs to one power-up."""
         self.reset()
 
     def reset(self) -> None:
-        """Reset all state to its value before the first frame."""
+        """Reset the state to its values before the first frame."""
         self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.serial: int | None = None
@@ -271,9 +274,9 @@ class Exchange:
         self.foreign_ids: frozenset[int] = frozenset()
         """COB-IDs of the frames received before we sent anything."""
         self.notes: tuple[str, ...] = ()
-        """Notes on the drive's setup since it was opened, one line each."""
+        """Notes on the drive setup since the drive was opened, one line each."""
         self.sync_id = protocol.SYNC
-        """COB-ID of the SYNC that the drive responds to."""
+        """COB-ID of the SYNC to which the drive responds."""
         self.trouble: str | None = None
         """Latest problem on the bus, kept until the drive is connected again."""
         self.owned = False
@@ -281,12 +284,12 @@ class Exchange:
         self.armed = False
         """Whether targets may be sent."""
         self.stopped = False
-        """Whether the drive has been stopped since enabling started: an action from before a stop
+        """Whether the drive has been stopped since enabling started; an action from before a stop
         must not continue after it."""
 
     def sync_and_read(self, timeout: float = 0.003) -> DriveStatus:
         """Send a SYNC and wait up to `timeout` [s] for the answers; return the status, which keeps
-        older values if some are missing."""
+        older values if answers are missing."""
         with self.lock:
             self.status.synchronise(self.clock())
             self.attempt(self.sync_id, b"")
@@ -296,21 +299,22 @@ class Exchange:
 
     @property
     def is_off(self) -> bool:
-        """Whether the drive's answer to the last SYNC reports that its motor is off."""
+        """Whether the answer of the drive to the last SYNC reports that the motor is off."""
         return bool(self.status.answered & 1) and self.status.state in protocol.UNPOWERED
 
     @property
     def obeys_stop(self) -> bool:
-        """Whether the drive reports that it is braking, for whatever reason, or that its motor is
+        """Whether the drive reports that it is braking, for any reason, or that its motor is
         off."""
         braking = (State.QUICK_STOP_ACTIVE, *protocol.FAULT_STATES)
         return self.is_off or self.status.state in braking
 
     def send_heartbeat(self) -> None:
-        """Send our heartbeat; an enabled drive stops by itself `heartbeat_s` after the last one.
+        """Send a heartbeat; an enabled drive stops by itself `heartbeat_s` after the last
+        heartbeat.
 
         A drive that does not obey a stop must stop in this way, so it receives at most
-        `BEATS_AFTER_STOP` more.
+        `BEATS_AFTER_STOP` more heartbeats.
         """
         if self.stopped and self.powered and not self.obeys_stop:
             if self.beats_left <= 0:
@@ -336,12 +340,12 @@ class Exchange:
 
     def insist(self, word: int, also_by_sdo: bool = False) -> bool:
         """Send a controlword as process data, and also over SDO if the node is not operational or
-        `also_by_sdo` is set; return whether the bus accepted it."""
+        `also_by_sdo` is set; return whether the bus accepted the frame."""
         is_sent = self.attempt(*self.order(word))
         if is_sent and self.status.nmt == protocol.OPERATIONAL and not also_by_sdo:
             return True
         if self.status.nmt == protocol.NODE_STOPPED:
-            # A node in the NMT state "stopped" accepts neither.
+            # A node in the NMT state "stopped" accepts neither process data nor SDO.
             self.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
         return (
             self.attempt(
@@ -352,9 +356,9 @@ class Exchange:
 
     def brake(self) -> bool:
         """Quick-stop immediately, from any thread; nothing is enabled or moved afterwards. Return
-        False if another thread hangs in a send."""
-        # If the lock is not available in time, continue without it: the stop must be sent in any
-        # case.
+        False if a different thread hangs while sending."""
+        # If the lock is not available in time, continue without it, because the stop must be sent
+        # in any case.
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False
@@ -368,16 +372,16 @@ class Exchange:
         return locked
 
     def carry_on(self) -> None:
-        """Advance the handshake as far as the latest statusword allows; the caller holds the
+        """Advance the handshake as far as the latest statusword permits; the caller holds the
         lock."""
         if not self.armed or self.status.state is not State.OPERATION_ENABLED:
-            # If something else has stopped the drive, the next target must not restart it.
+            # If the drive was stopped by something else, the next target must not restart it.
             return
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
         if isinstance(step, tuple):
             counts, rpm = step
-            # A stop does not wait for a send that hangs, so it may have overtaken this one: check
-            # `armed` again before sending the target.
+            # A stop does not wait for a thread that hangs while sending, so it may have overtaken
+            # this thread: check `armed` again before sending the target.
             if (
                 self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm))
                 and self.armed
@@ -389,9 +393,9 @@ class Exchange:
 
     def _take(self, cob_id: int, data: bytes) -> None:
         if self.owned and cob_id in self.own_ids:
-            # The drive would take the other program's heartbeats for ours, and the fin would keep
-            # moving if this program died. That program may have been silent while we listened, e.g.
-            # waiting for user input.
+            # The drive would mistake the heartbeats of the other program for ours, and the fin
+            # would keep moving if this program died. The other program may have been silent while
+            # we listened, e.g. because it was waiting for user input.
             self._report(
                 f"another program on {self.connection.name} uses this program's node number "
                 f"{self.config.host}; end it, or set a different drive.host_node in each rig's "
@@ -400,8 +404,8 @@ class Exchange:
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
             if fault and self.armed:
-                # The drive may clear the fault before `complaints` is called, but it has stopped
-                # the motor.
+                # The drive may clear the fault before `complaints` is called, but the motor has
+                # stopped.
                 self.trouble = self.trouble or fault
             if cob_id == protocol.TPDO[0] + self.config.node:
                 self.carry_on()
@@ -414,7 +418,7 @@ class Exchange:
         self._tell(line)
 
     def _tell(self, line: str) -> None:
-        """Call `on_fault`; its errors must not end the receiver's thread, which also receives the
+        """Call `on_fault`; its errors must not end the receiver thread, which also receives the
         answers to a stop."""
         try:
             if self.on_fault:

@@ -1,8 +1,8 @@
-"""Drive procedures: identify, check, configure, power up, home, bring to rest. Each one ends within
-a bounded time.
+"""Procedures that identify, check, configure, power up, home and stop a drive. Each procedure ends
+within a bounded time.
 
-Limits and settings are written and read back. Nothing is stored permanently: the drive loses these
-settings when powered down.
+Limits and settings are written and read back. Nothing is stored permanently; the drive loses these
+settings when it is powered down.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ STATE_STEP_S = 0.002
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
-"""Number of consecutive ineffective controlwords after which SDO is tried as well."""
+"""Number of consecutive ineffective controlwords after which SDO is also tried."""
 BUS_REFUSES_S = 0.15
 """Time after which a bus that accepts no frames is considered dead, so that later attempts do not
 wait [s]. An adapter with a full queue refuses immediately and recovers within a few
@@ -45,11 +45,11 @@ HOME = {
 
 
 def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[int]:
-    """Listen before sending anything; raise RigError if another program drives this drive or uses
-    our node number.
+    """Listen before sending anything; raise RigError if a different program uses this drive or our
+    node number.
 
-    The drive would take that program's heartbeats for ours and keep moving if this program hangs.
-    Return the COB-IDs of all frames received.
+    The drive would mistake the heartbeats of that program for ours and keep moving if this program
+    hangs. Return the COB-IDs of all received frames.
     """
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
@@ -82,7 +82,7 @@ def identify_drive(connection: CanConnection) -> None:
 
 
 def read_fault(connection: CanConnection) -> str | None:
-    """Read the drive's fault over SDO; None if it is not in fault."""
+    """Return the fault of the drive, read over SDO; None if the drive is not in fault."""
     if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
     code = newest_error(connection)
@@ -90,14 +90,14 @@ def read_fault(connection: CanConnection) -> str | None:
 
 
 def newest_error(connection: CanConnection) -> int:
-    """Read the newest error code in the drive's error history; 0 if the history is empty."""
+    """Return the latest error code in the error history of the drive; 0 if the history is empty."""
     if connection.read(protocol.ERROR_COUNT) == 0:
         return 0
     return connection.read(protocol.NEWEST_ERROR) & 0xFFFF
 
 
 def read_optional(connection: CanConnection, entry: Object) -> int | None:
-    """Read an object of the drive; None if the drive does not have it."""
+    """Read an object of the drive; None if the drive does not have the object."""
     try:
         return connection.read(entry)
     except RefusedError as refusal:
@@ -117,8 +117,8 @@ def settings(config: Epos2Config) -> tuple[Setting[Object], ...]:
             range(402, 1 << 32, 1 << 16),
             "not a CiA 402 drive; correct drive.node, or check it",
         ),
-        # Not verified: 1 is a brushed DC motor, 10 and 11 are brushless motors. All accept the same
-        # commands.
+        # Not verified: 1 is a brushed DC motor, and 10 and 11 are brushless motors. All accept the
+        # same commands.
         Setting(protocol.MOTOR_TYPE, (1, 10, 11), "an unsupported motor type; set it"),
         Setting(
             protocol.ENCODER_LINES,
@@ -167,8 +167,8 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
 
 
 def set_sync(connection: CanConnection, config: Epos2Config) -> int:
-    """Make the drive respond only to this program's SYNC; return the COB-ID that it actually
-    responds to."""
+    """Make the drive respond only to the SYNC of this program; return the COB-ID to which it
+    actually responds."""
     wanted = protocol.SYNC + config.host
     try:
         connection.write(protocol.SYNC_ID, wanted)
@@ -212,7 +212,7 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
     for entry, value in values.items():
         write(connection, entry, value)
     set_mode(connection, protocol.PROFILE_POSITION)
-    # Ten heartbeats per timeout, so that a few lost ones do no harm.
+    # Ten heartbeats per timeout, so that a few lost heartbeats do no harm.
     write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / 10))
     for first, pdos, cob_id, transmission in (
         (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
@@ -249,7 +249,7 @@ def write(
 
 
 def set_mode(connection: CanConnection, mode: int) -> None:
-    """Set the mode of operation; raises RigError if the drive does not enter it."""
+    """Set the mode of operation; raises RigError if the drive does not enter this mode."""
     write(connection, protocol.MODE, mode, shown=protocol.MODE_DISPLAY)
 
 
@@ -283,7 +283,7 @@ def _map(
 def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], object]) -> None:
     """Bring the drive to operation enabled; raises DeviceError on a timeout, a fault or a stop.
 
-    Call `meanwhile` at each step.
+    `meanwhile` is called at each step.
     """
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
@@ -303,8 +303,8 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
             word = protocol.TO_ENABLED.get(status.state)
             if word is not None:
                 exchange.connection.send(*exchange.order(word))
-            # Every frame on the bus notifies this lock. Waiting for `stopped` alone keeps frames of
-            # other fins from using up this drive's attempts.
+            # Every frame on the bus notifies this lock. Waiting only for `stopped` prevents frames
+            # from other fins from using up the attempts for this drive.
             exchange.lock.wait_for(lambda: exchange.stopped, STATE_STEP_S)
     raise DeviceError(
         f"drive stays {status.words} and does not enable; check its supply and its enable input"
@@ -313,7 +313,7 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
 
 def home(exchange: Exchange) -> None:
     """Make the current position home, with the drive enabled in homing mode; raises DeviceError if
-    it refuses."""
+    the drive refuses."""
     status = exchange.status
     with exchange.lock:
         if not exchange.stopped:
@@ -326,7 +326,7 @@ def home(exchange: Exchange) -> None:
             break
         near = abs(status.position) <= HOME_TOLERANCE_COUNTS
         attained = attained + 1 if is_new and status.has(Bit.ACKNOWLEDGED) and near else 0
-        # Twice, because bit 12 may still be set from an earlier homing.
+        # Check twice, because bit 12 may still be set from an earlier homing.
         if attained >= 2 and (status.has(Bit.REFERENCED) or not exchange.config.zero_needed):
             return
         exchange.clock.sleep(STATE_STEP_S)
@@ -335,7 +335,7 @@ def home(exchange: Exchange) -> None:
 
 def rest(exchange: Exchange) -> bool:
     """Wait for standstill after a quick stop, then disable the voltage; return whether the drive
-    confirms that it is off."""
+    confirms that the motor is off."""
     status = exchange.status
     config = exchange.config
 
@@ -349,8 +349,7 @@ def rest(exchange: Exchange) -> bool:
     # Twice the braking time from the highest velocity, v / a, plus ten ticks.
     braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
     if not _insist_until(exchange, protocol.QUICK_STOP, stands, braking):
-        # No controlword got through: the first that does must not be the one that lets the fin
-        # coast.
+        # No controlword got through, and the first one that does must not let the fin coast.
         return False
     _insist_until(exchange, protocol.DISABLE_VOLTAGE, lambda: exchange.is_off, DISABLE_TIMEOUT_S)
     if exchange.is_off:
@@ -363,11 +362,11 @@ def rest(exchange: Exchange) -> bool:
 
 
 def _insist_until(exchange: Exchange, word: int, done: Callable[[], bool], seconds: float) -> bool:
-    """Repeat a controlword until `done()` or for `seconds`; return False if the bus accepts no
-    frames.
+    """Repeat a controlword until `done()` returns True or for `seconds`; return False if the bus
+    accepts no frames.
 
-    The time is counted in ticks, so that the loop ends even if the clock stops. If an earlier stop
-    used up its time without success, this one is brief unless the drive now obeys, so that the
+    The time is counted in ticks so that the loop ends even if the clock stops. If an earlier stop
+    used up its time without success, this stop is brief unless the drive now obeys, so that the
     operator is warned soon.
     """
     sync_s = exchange.config.sync_s
@@ -405,9 +404,9 @@ def time_own_stop(exchange: Exchange) -> float:
     longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
     silence = 0.0
     while silence <= longest:
-        # SYNC continues as in a run, so that only the missing heartbeats can stop the drive. After
-        # the fault, the node may have left the operational state and no longer respond to SYNC, so
-        # the state is read over SDO.
+        # SYNC continues as in a run so that only the missing heartbeats can stop the drive. After
+        # the fault, the node may no longer be operational or respond to SYNC, so the state is read
+        # over SDO.
         exchange.sync_and_read(STATE_STEP_S)
         state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
         silence = exchange.clock() - last_heartbeat
@@ -430,8 +429,8 @@ def switch_off(exchange: Exchange) -> bool:
     """Quick-stop, then disable the voltage, in any state of the drive and node; return whether the
     motor is off.
 
-    Each controlword is sent as process data, which works immediately if the PDOs are mapped as
-    softfin maps them, and over SDO.
+    Each controlword is sent over SDO and as process data, which takes effect immediately if the
+    PDOs have softfin's mapping.
     """
     connection = exchange.connection
     config = exchange.config

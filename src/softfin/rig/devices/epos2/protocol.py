@@ -1,5 +1,4 @@
-"""EPOS2 protocol: objects, process data, states, controlwords, and messages for faults and SDO
-aborts.
+"""EPOS2 protocol: objects, process data, states, controlwords, and texts for faults and SDO aborts.
 
 Indices, states and codes come from CiA 301 and 402 and from the maxon "EPOS2 Firmware
 Specification" (rel5466), which we know only through drivers based on it; the suggested fixes are
@@ -14,7 +13,7 @@ from typing import NamedTuple
 BOOT_UP = 0x00
 NODE_STOPPED = 0x04
 OPERATIONAL = 0x05
-"""Node states as sent in the heartbeat."""
+"""Node states, as sent in the heartbeat."""
 
 NMT_START = 0x01
 NMT_STOP = 0x02
@@ -30,8 +29,8 @@ SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
 """COB-IDs, to which the node number is added, except for NMT and the shared SYNC.
 
-A host's own SYNC is 0x080 plus its node number. This is the emergency COB-ID of that node, which
-the host never uses.
+The SYNC of a host is 0x080 plus its node number. This is also the emergency COB-ID of the node,
+which the host never uses.
 """
 TPDO = (0x180, 0x280, 0x380)
 RPDO = (0x200, 0x300)
@@ -43,10 +42,10 @@ HOME_HERE = 35
 
 
 class Object(NamedTuple):
-    """One entry of the drive's object dictionary."""
+    """One entry of the object dictionary of the drive."""
 
     number: int
-    """Index in the dictionary, not named `index` because tuples have a method of that name."""
+    """Index in the dictionary; not named `index` because tuples have a method with this name."""
     sub: int
     form: str
     """`struct` format character: B, H, I for unsigned; b, h, i for signed."""
@@ -109,14 +108,16 @@ CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
 REACTIONS = {LOSS_REACTION: 1, FAULT_REACTION: 2, QUICK_STOP_OPTION: 6}
-"""Settings that stop the fin if softfin dies: a lost heartbeat is a fault, a fault brakes along the
-quick-stop ramp, and a quick stop brakes along that ramp and then holds the position (CiA 402).
+"""Settings that stop the fin if softfin dies: a lost heartbeat is a fault, a fault causes braking
+along the quick-stop ramp, and a quick stop brakes along the same ramp and then holds the position
+(CiA 402).
 
-Any of them may be stored in the drive as "no action". We have not verified that an EPOS2 has all
-three objects.
+Any of these settings may be stored in the drive as "no action". We have not verified that an EPOS2
+has all three objects.
 """
 
-# Collected from this module, so that the emulated drive has every object defined above.
+# The objects are collected from this module so that the emulated drive has every object defined
+# above.
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
 SENT = ((STATUSWORD, POSITION), (VELOCITY, MOTOR_CURRENT), (DEMAND,))
@@ -127,7 +128,7 @@ ON_SYNC = 1
 AT_ONCE = 255
 """Transmission types of process data."""
 INVALID = 1 << 31
-"""Bit in a PDO's COB-ID that disables the PDO."""
+"""Bit in the COB-ID of a PDO that disables the PDO."""
 
 
 def host_cob_ids(host: int) -> frozenset[int]:
@@ -190,7 +191,7 @@ class Bit(IntFlag):
 
 FAULT_STATES = frozenset({State.FAULT_REACTION_DISABLED, State.FAULT_REACTION_ENABLED, State.FAULT})
 ENABLING = frozenset({State.REFRESH, State.MEASURE_INIT, State.OPERATION_ENABLED})
-"""Operation enabled, and the two states through which a drive passes on its way there."""
+"""Operation enabled, and the two states through which a drive passes before it."""
 POWERED = ENABLING | {State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ENABLED}
 """States in which the motor carries current."""
 UNPOWERED = frozenset(State) - POWERED
@@ -367,7 +368,7 @@ _CONTROLLER_STATES = {
 }
 """Controller states in byte 1 of an error frame of the controller class."""
 BUS_FAILURES = frozenset({"error passive", "bus-off"})
-"""Errors after which the adapter is unreliable: frames, including a stop, may not reach the
+"""Errors after which the adapter is unreliable, so frames (including a stop) may not reach the
 drive."""
 
 

@@ -8,8 +8,7 @@ from softfin.rig.machine import WRENCH_CHANNELS
 from softfin.rig.streamed_sensor import StreamedSensorConfig
 
 COUNTERS = {"count": 1.0, "time_ms": 1e-3, "time_us": 1e-6}
-"""Columns that number the lines: a counter of lines, or the time since power-up, with its unit
-[s]."""
+"""Columns that number the lines (a line counter or the time since power-up) and their units [s]."""
 
 Column = Literal[
     "force_x",
@@ -32,22 +31,23 @@ class LinesConfig(StreamedSensorConfig):
     type: Literal["lines"] = "lines"
     """Lines of text."""
     columns: tuple[Column, ...] = Field(min_length=2, max_length=64)
-    """Meaning of each column, e.g. ``[count, force_x, force_y]``: force and torque in the sensor's
-    axes, a counter of lines or a time since power-up (as unsigned 32-bit integer, so that losses
-    and restarts are noticed), or ``skip``."""
+    """Meaning of each column, e.g. ``[count, force_x, force_y]``: force and torque in sensor axes,
+    a line counter or the time since power-up (as an unsigned 32-bit integer, so that losses and
+    restarts are detected), or ``skip``."""
     port: str | None = None
     """Serial port, e.g. /dev/ttyACM0."""
     baud: int = Field(115_200, ge=1200, le=4_000_000)
     """Bits per second of the serial port."""
     address: str | None = None
-    """IP address from which the sensor sends; records from others are not used, but are a fault."""
+    """IP address from which the sensor sends; records from other addresses are not used and cause a
+    fault."""
     udp_port: int | None = Field(None, ge=1, le=65535)
     """UDP port of this computer to which the sensor sends."""
     separator: str = Field(",", min_length=1, max_length=1)
     """Character between two columns."""
     scale: dict[str, float] = Field(default_factory=dict)
-    """Newtons (or newton metres) per unit of a column, by its name, e.g. ``force_x: -2.1e-5``;
-    1 for other columns."""
+    """Newtons (or newton metres) per unit, keyed by column name, e.g. ``force_x: -2.1e-5``; 1 for
+    other columns."""
 
     @property
     def counter(self) -> str | None:

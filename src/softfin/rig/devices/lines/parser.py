@@ -1,4 +1,4 @@
-"""Decode and number the lines, without I/O: text in, wrenches and numbers of lost lines out."""
+"""Decodes lines of text to wrenches and counts lost lines, without I/O."""
 
 import math
 from typing import NamedTuple
@@ -11,18 +11,19 @@ from softfin.rig.machine import WRENCH_CHANNELS, WrenchArray
 from softfin.rig.stream_clock import ShortestDelay
 
 REORDERED_LINES = 64
-"""Number of lines by which a counter may go back without a restart."""
+"""Maximum number of lines by which a counter may go back without a restart."""
 
 MAX_LAG_S = 0.05
-"""Increase of the delay between sensor and computer that counts as a fault [s]; the loop's limit on
-the age of a force does not detect it."""
+"""Increase in the delay between sensor and computer that is treated as a fault [s]; the age limit
+for forces in the loop does not detect it."""
 
 LAGGING_S = 0.5
-"""Time for which every line must be that late [s]; single late ones are bridged."""
+"""Time for which every line must be this late [s]; single late lines are bridged."""
 
 CLOCK_ERRORS = {"count": 0.05, "time_ms": 0.01, "time_us": 0.01}
-"""Largest relative error of the sensor clock; a delay that grows more slowly cannot be
-distinguished from it. For a counter, the clock is its rate, which is measured for half a second."""
+"""Maximum relative error of the sensor clock; a delay that grows more slowly cannot be
+distinguished from this error. For a counter, the clock is the line rate, which is measured for half
+a second."""
 
 
 class Record(NamedTuple):
@@ -31,7 +32,7 @@ class Record(NamedTuple):
     wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]; zero for channels without a column."""
     number: int | None
-    """Value of the counter or of the time; None without such a column."""
+    """Value of the counter or time column; None if there is no such column."""
 
 
 def parse_line(line: bytes, config: LinesConfig) -> Record | None:
@@ -53,22 +54,22 @@ def parse_line(line: bytes, config: LinesConfig) -> Record | None:
 
 
 class LineCounter:
-    """Counts lost, repeated and late lines by their counter or time; without either, every line
-    counts as the next one."""
+    """Counts lost, repeated and late lines by their counter or time; without either, every line is
+    treated as the next line."""
 
     def __init__(self, config: LinesConfig) -> None:
         self.has_restarted = False
         """Whether the counter went back, as after a restart of the sensor."""
         self.total = 0
-        """Increase of the counter or of the time since the first line, in its own unit."""
+        """Increase of the counter or time since the first line, in the unit of the column."""
         self._rate_hz = config.rate_hz
         self._loss = LossEstimate(config.rate_hz)
         self._column = config.counter
         self._newest: int | None = None
 
     def steps(self, number: int | None) -> int:
-        """Return by how many lines this one is later than the latest; 0 or less if it is not
-        newer."""
+        """Return the number of lines by which this line is later than the latest line; 0 or less if
+        it is not newer."""
         if number is None:
             return 1
         before = self._newest
@@ -92,20 +93,20 @@ class LineCounter:
 
 
 class LagWatch:
-    """Notices that the sensor delivers its lines ever later, e.g. because a buffer in it or on the
-    way fills: they still arrive regularly, so the force looks new."""
+    """Detects that lines arrive with a growing delay, e.g. because a buffer in the sensor or on the
+    way fills up. The lines still arrive regularly, so the force would seem new."""
 
     def __init__(self, clock_error: float) -> None:
         self.is_lagging = False
-        """Whether all lines were too late for some time, once."""
+        """Whether all lines have ever been too late for `LAGGING_S`."""
         self.lag_s = 0.0
         """Increase of the delay at that moment [s]."""
         self._shortest = ShortestDelay(clock_error)
         self._lagging_since: float | None = None
 
     def take(self, sent: float, arrived: float) -> None:
-        """Register a line that was sent at a time on the sensor clock and arrived at one on the
-        computer's [s]."""
+        """Register a line by its send time on the sensor clock and its arrival time on the computer
+        clock [s]."""
         lag_s = arrived - sent - self._shortest.update(sent, arrived)
         if lag_s <= MAX_LAG_S:
             self._lagging_since = None

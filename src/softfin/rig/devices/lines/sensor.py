@@ -1,4 +1,4 @@
-"""A force sensor that sends lines of text: its lines as records for a `StreamedSensor`."""
+"""A force sensor that sends lines of text, which become records for a `StreamedSensor`."""
 
 import os
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from softfin.rig.streamed_sensor import (
 
 
 def lines_sensor(config: LinesConfig, clock: Computer = COMPUTER) -> StreamedSensor:
-    """Return a force sensor that sends lines."""
+    """Create a force sensor that sends lines."""
     return StreamedSensor(config, LineSource(config, clock), clock)
 
 
@@ -46,7 +46,7 @@ class LineSource(RecordSource):
         self._counter = LineCounter(self.config)
         self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
         self._count_s: float | None = None
-        """Time that one count lasts, once it is known [s]; None if the lines have no counter."""
+        """Duration of one count, once known [s]; None if the lines have no counter."""
         self._senders: list[str] = []
         """The first two addresses from which records came."""
         self._missing = 0
@@ -60,7 +60,7 @@ class LineSource(RecordSource):
         return None if self._reader is None else self._reader.trouble
 
     def open(self) -> None:
-        """Open the port; raises DeviceError."""
+        """Open the port; raises DeviceError on failure."""
         self.restart()
         transport = open_transport(self.config, self.clock)
         is_serial = self.config.port is not None
@@ -71,7 +71,7 @@ class LineSource(RecordSource):
         records: list[TimedWrench] = []
         if self._reader is None:
             return records
-        # Not `while reader.lines`: more may arrive as fast as they are processed.
+        # Not `while reader.lines`, because lines may arrive as fast as they are processed.
         for _ in range(len(self._reader.lines)):
             record = self._take(self._reader.lines.popleft())
             if record is not None:
@@ -82,16 +82,16 @@ class LineSource(RecordSource):
         """Watch the delay of lines with a counter or time from now on."""
         counter = self.config.counter
         if counter is not None:
-            # The rate of the lines may differ from the file by 10%.
+            # The line rate may differ from the configured rate by 10%.
             is_line = counter == "count"
             self._count_s = 1 / rate_hz if is_line else COUNTERS[counter]
 
     def describe(self) -> str:
-        """Return the kind of the records."""
+        """Describe the records."""
         return "lines"
 
     def checks(self) -> Iterator[CheckResult]:
-        """Note that lines without a number can be lost unnoticed."""
+        """Yield a warning that lines without a number can be lost unnoticed."""
         if self.config.counter is None:
             text = "lines have no counter or time, so lost and doubled lines are not noticed"
             yield CheckResult("force sensor", "note", text)

@@ -1,7 +1,7 @@
-"""Sources of the lines: a serial port or UDP, read by a thread of its own.
+"""Sources of the lines (a serial port or UDP), read by a separate thread.
 
-A thread, because the buffer of a serial port holds 4 KB and keeps the oldest bytes: if the loop
-read it, the first force after a pause would be an old one that looks new.
+The thread is necessary because the buffer of a serial port holds 4 KB and keeps the oldest bytes.
+If the loop read the buffer, the first force after a pause would be old but seem new.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.streamed_sensor import queue_length
 
 WAIT_S = 0.05
-"""Longest wait for data [s]."""
+"""Maximum wait for data [s]."""
 
 MAX_LINE_BYTES = 1000
 
@@ -29,18 +29,18 @@ class Received(NamedTuple):
     source: str = ""
     """Address and port of the sender; empty for a serial port."""
     is_expected: bool = True
-    """Whether they come from the configured address."""
+    """Whether the bytes come from the configured address."""
 
 
 class SerialTransport:
-    """A serial port, opened for this program alone."""
+    """A serial port, opened exclusively."""
 
     def __init__(self, port: str, baud: int, clock: Computer) -> None:
         self._serial = clock.open_serial_port(port, baud, timeout_s=WAIT_S)
 
     def read(self) -> Received:
-        """Return the bytes that have arrived, at least one unless none arrives in time; raises
-        OSError if the sensor is gone."""
+        """Return the bytes that have arrived, after waiting for at least one until the timeout;
+        raises OSError if the sensor is disconnected."""
         return Received(self._serial.read(max(1, self._serial.in_waiting)))
 
     def close(self) -> None:
@@ -49,13 +49,13 @@ class SerialTransport:
 
 
 class UdpTransport:
-    """Datagrams; each contains whole lines."""
+    """UDP datagrams; each contains complete lines."""
 
     def __init__(self, address: str, port: int, clock: Computer) -> None:
         self._socket = clock.udp_socket()
         try:
             self._address = socket.gethostbyname(address)
-            # A sensor on this computer is an emulated one, which others need not reach.
+            # A sensor on this computer is emulated, and other computers need not reach it.
             host = LOOPBACK if self._address.startswith("127.") else ""
             self._socket.bind((host, port))
             self._socket.settimeout(WAIT_S)
@@ -67,12 +67,12 @@ class UdpTransport:
             ) from None
 
     def read(self) -> Received:
-        """Return a datagram; empty if none arrives in time."""
+        """Return a datagram, or an empty one if none arrives in time."""
         try:
             data, sender = self._socket.recvfrom(65_535)
         except (TimeoutError, BlockingIOError):
             return Received(b"")
-        # A datagram is not continued by the next one.
+        # Lines do not continue in the next datagram.
         source = f"{sender[0]}:{sender[1]}"
         return Received(data + b"\n", source, sender[0] == self._address)
 
@@ -85,7 +85,7 @@ Transport: TypeAlias = SerialTransport | UdpTransport
 
 
 def open_transport(config: LinesConfig, clock: Computer) -> Transport:
-    """Open the port of a sensor; raises DeviceError."""
+    """Open the port of a sensor; raises DeviceError on failure."""
     if config.port is not None:
         return SerialTransport(config.port, config.baud, clock)
     assert config.address is not None
@@ -94,7 +94,7 @@ def open_transport(config: LinesConfig, clock: Computer) -> Transport:
 
 
 class TimedLine(NamedTuple):
-    """A line without its end, the time at which it arrived [s], and where from."""
+    """A line without its line end, its arrival time [s], and its source."""
 
     text: bytes
     time: float
@@ -103,10 +103,10 @@ class TimedLine(NamedTuple):
 
 
 class LineReader:
-    """Thread that splits the bytes into lines as they arrive."""
+    """Thread that splits arriving bytes into lines."""
 
     def __init__(self, transport: Transport, rate_hz: float, clock: Clock, is_cut: bool) -> None:
-        """`is_cut` if the first bytes may be the rest of a line."""
+        """Start the thread; set `is_cut` if the first bytes may be the rest of a line."""
         self.trouble: str | None = None
         """Error that ended the thread; None while it runs."""
         self.lines: deque[TimedLine] = deque(maxlen=queue_length(rate_hz))
@@ -131,7 +131,7 @@ class LineReader:
             try:
                 received = self._transport.read()
             except Exception as error:
-                # pyserial raises OSError, and TypeError if its port is closed meanwhile.
+                # pyserial raises OSError, or TypeError if the port is closed in the meantime.
                 if not self._closing.is_set():
                     self.trouble = one_line(error)
                 return
@@ -139,7 +139,7 @@ class LineReader:
 
     def _split(self, received: Received, now: float) -> None:
         *lines, self._rest = (self._rest + received.data).split(b"\n")
-        # An endless line must not fill the memory; its end is malformed and will be counted.
+        # An endless line must not fill the memory; its remainder is malformed and will be counted.
         self._rest = self._rest[-MAX_LINE_BYTES:]
         if lines and self._is_cut:
             self._is_cut = False
