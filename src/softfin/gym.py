@@ -32,7 +32,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Track a reference force. Episodes never terminate; they are truncated after
     `config.episode_actions`.
 
-    An observation is the angle [units of 90 degrees], the reference (x, y) [units of
+    An observation consists of the angle [units of 90 degrees], the reference (x, y) [units of
     `config.force_scale_n`], and the last `config.past_actions` + 1 actions (angle, velocity), the
     latest first. An action (angle, velocity) in [-1, 1] covers the limits of the plant.
     `info` contains the window's ``error_n``, its Sobolev term ``smoothness_n``, the

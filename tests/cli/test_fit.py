@@ -115,7 +115,7 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--seed", "2147483648"], "--seed 2147483648: must be a whole number from 0"),
+        (["--seed", "2147483648"], "--seed 2147483648: must be an integer from 0"),
         (["--epochs", "3"], "--epochs: unknown option"),
         (["--force.wakes", "3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
         (["--burn-in", "900"], "burn_in must be less than ticks = 250"),

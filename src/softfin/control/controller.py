@@ -31,14 +31,14 @@ class Measured(NamedTuple):
     """Measurements available to a controller when it acts."""
 
     angle: Array
-    """Last reading of the shaft's angle [rad]; 0 before the first."""
+    """Last reading of the shaft angle [rad]; 0 before the first reading."""
     force: Array
-    """Mean force (x, y) of the readings since the last action [N]; 0 before the first."""
+    """Mean force (x, y) of the readings since the last action [N]; 0 before the first action."""
 
 
 @runtime_checkable
 class Controller(Protocol):
-    """Contract of a controller, which holds a reference force by commanding one fin.
+    """Interface of a controller, which holds a reference force by commanding one fin.
 
     It is deterministic and has no batch axes; `jax.vmap` adds them. Two optional attributes define
     which references it can hold: the `cells` that it was trained for, and the `reachable` forces.

@@ -89,9 +89,9 @@ class DisturbanceObserverConfig(Configuration):
     """
 
     bias_n: PositiveFloat | None = None
-    """Prior standard deviation of the controller's force error [N]; null: 0.2 N, scaled."""
+    """Prior standard deviation of the force error of the controller [N]; null: 0.2 N, scaled."""
     bias_per_n: NonNegativeFloat | None = None
-    """Standard deviation of the change in that error when the reference moves by 1 N [N]; the
+    """Standard deviation of the change in the force error when the reference moves by 1 N [N]; the
     variance is proportional to the distance, so a slow movement adds as much as a step. Null: 0.03
     N, scaled."""
     drift_n: NonNegativeFloat | None = None
@@ -104,7 +104,7 @@ class DisturbanceObserverConfig(Configuration):
     scaled."""
     lag_actions: NonNegativeInt = 1
     """Number of actions until the force follows the reference; the window of references is shifted
-    by it."""
+    by this number."""
     settle_actions: PositiveInt | None = None
     """Number of actions after rest without any estimation, because the fin is still starting; null:
     one more than the window and the lag."""
@@ -112,7 +112,7 @@ class DisturbanceObserverConfig(Configuration):
     """Movement within the window up to which the reference is treated as constant [N]; above it,
     the variance of the noise grows with the fourth power of the movement. Null: 0.05 N, scaled."""
     limit_n: PositiveFloat | None = None
-    """Limit of the correction of each axis [N]; null: 1 N, scaled."""
+    """Limit on the correction of each axis [N]; null: 1 N, scaled."""
 
 
 class ObserverForces(NamedTuple):
@@ -177,7 +177,7 @@ class DisturbanceObserver:
         if self.settle_actions < least:
             raise ConfigurationError(
                 f"trim.settle_actions = {self.settle_actions} with lag_actions = "
-                f"{self.config.lag_actions}: the window of references is only full after {least} "
+                f"{self.config.lag_actions}: the window of references is full only after {least} "
                 f"actions; set settle_actions to {least} or more"
             )
         # JAX creates the observer again inside a compiled program, where the reach has no value; by

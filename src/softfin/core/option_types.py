@@ -68,7 +68,7 @@ PAIRS = Parameter(metavar="NAME=VALUE", n_tokens=1, accepts_keys=False, converte
 NAMES = Parameter(metavar="NAME", n_tokens=1, converter=_keep_text)
 """For names whose class parses NAME,NAME."""
 
-RECORDINGS = Parameter(name="*", group="Recordings that softfin did not make")
+RECORDINGS = Parameter(name="*", group="Recordings from other programs")
 """For import options, each an option."""
 
 CONNECTION = Parameter(name="*", group="Connection to other ROS 2 nodes")
@@ -79,4 +79,4 @@ HIDDEN = Parameter(parse=False)
 
 Config: TypeAlias = Annotated[Settings | None, FILE]
 """Configuration of a stage: complete, or changes of the default. On the command line, a YAML file;
-each field is also an option, such as ``--excitation.hold-min-s 0.2``, and wins over the file."""
+each field is also an option, such as ``--excitation.hold-min-s 0.2``, and overrides the file."""

@@ -81,7 +81,7 @@ class Log(NamedTuple):
     command: Command
     reading: Reading
     channels: Mapping[str, Float[AnyArray, "rows"]] = {}
-    """Further measured channels, by column of a log file (`softfin.core.log_channels`)."""
+    """Additional measured channels, by column of a log file (`softfin.core.log_channels`)."""
 
     @property
     def rows(self) -> int:

@@ -44,7 +44,7 @@ class CollectConfig(Configuration):
     """Random commands."""
     channels: bool = False
     """Whether the logs of a simulated plant also contain its channels, such as torque and current
-    of the virtual tank. A real fin's logs always contain those that are measured."""
+    of the virtual tank. Logs of a real fin always contain all measured channels."""
 
 
 def collect_logs(

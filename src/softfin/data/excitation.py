@@ -15,7 +15,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits
 
 Commands = Callable[[PRNGKeyArray, int, Limits], Command]
-"""Function that generates the commands of a log, one per tick, from a key, the number of ticks and
+"""Function that generates the commands for a log, one per tick, from a key, the number of ticks and
 the limits; it must be traceable by JAX."""
 
 
@@ -24,7 +24,7 @@ class ExcitationConfig(Configuration):
 
     hold_min_s: float = pydantic.Field(default=0.2, gt=0, multiple_of=TICK_S)
     """Shortest hold [s], a multiple of 10 ms; below the 0.33 s of a 3 Hz controller, so that the
-    data contain strokes that are cut as short."""
+    data contain strokes that are cut equally short."""
     hold_max_s: float = pydantic.Field(default=1.5, gt=0, multiple_of=TICK_S)
     """Longest hold [s], a multiple of 10 ms; most strokes end earlier, so the data also contain the
     fin at rest."""

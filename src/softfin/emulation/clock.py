@@ -1,4 +1,4 @@
-"""Simulated time with ports to the emulated devices that exist in it."""
+"""Simulated clock, with ports to the emulated devices that run on it."""
 
 import can
 

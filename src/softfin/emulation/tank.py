@@ -125,8 +125,8 @@ class TankFin:
 
 @jax.jit
 def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 6"]]:
-    """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
-    (x, y) as one array."""
+    """Advance by one sample; return the state and an array of angle, velocity, profile angle,
+    torque and force (x, y)."""
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive

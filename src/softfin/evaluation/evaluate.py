@@ -67,20 +67,21 @@ class EvaluateConfig(Configuration):
     """Duration of each experiment from rest [s], an integer; 30 in the paper. Means begin once
     the first window is full."""
     seeds: int = pydantic.Field(default=5, ge=1)
-    """Number of repetitions with different randomness of the plant; intervals need at least 3."""
+    """Number of repetitions with different random numbers in the plant; intervals need at least
+    3."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the run, from which the seeds of the repetitions and all other randomness derive."""
     moving: bool = False
-    """Whether to evaluate also steps of the reference within the controller's range."""
+    """Whether to also evaluate steps of the reference within the range of the controller."""
     recorded: Recorded | None = None
-    """Another moving reference, read from a file; its last force is held for as long as the
+    """A second moving reference, read from a file; the last force is held for as long as the
     previous one."""
     strict: bool = False
     """Whether unreachable references are errors; otherwise, the nearest reachable force is
     tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """Force feedback, which subtracts the controller's estimated steady-state error; None for no
-    feedback."""
+    """Force feedback, which subtracts the estimated steady-state error of the controller; None for
+    no feedback."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces that the controller was trained
     for; None to draw none."""
@@ -251,8 +252,8 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     for each in evaluations[1:]:
         if not _track_the_same(first, each):
             raise ConfigurationError(
-                "controllers: they track different forces, because their ranges differ; evaluate "
-                "them separately, or set --reference to forces that all of them can track"
+                "controllers: their ranges differ, so they track different forces; evaluate them "
+                "separately, or set --reference to forces that all of them can track"
             )
     moving = []
     for same in zip(*(evaluation.moving for evaluation in evaluations), strict=True):

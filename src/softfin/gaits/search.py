@@ -53,10 +53,10 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest, more if they are below 2 s. Only
-    the last window is evaluated, when the fin and its wake are in a steady state."""
+    """Number of windows for which a gait is repeated from rest (more for windows shorter than 2 s).
+    Only the last window is evaluated, when the fin and its wake are in a steady state."""
     steps: PositiveInt = 8
-    """Number of Gauss-Newton steps; the last `EXACT` of them reduce only the force error."""
+    """Number of Gauss-Newton steps; the last `EXACT` steps reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
     likeness: NonNegativeFloat = 1.0

@@ -202,8 +202,8 @@ class SurveyConfig(Configuration):
     """Configuration of the survey of reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest, more if they are below 2 s; only
-    the last window is evaluated."""
+    """Number of windows for which a gait is repeated from rest (more for windows shorter than 2 s);
+    only the last window is evaluated."""
     batch: PositiveInt = 128
     """Number of gaits simulated together."""
     directions: int = Field(default=32, ge=8)

@@ -40,7 +40,7 @@ class TrainConfig(Configuration):
     200,000 and 0.05 N after 400,000 (mean of both axes and five seeds).
     """
     task: TaskConfig = TaskConfig(reference_actions=45)
-    """Force-tracking task, for the paper's fin; scaled by the size of the fin."""
+    """Force-tracking task for the paper's fin; it is scaled by the size of the fin."""
     policy: PolicyConfig = PolicyConfig()
     """Size and initial values of the networks."""
     ppo: PPOConfig = PPOConfig()
@@ -49,8 +49,8 @@ class TrainConfig(Configuration):
     """Number of evaluations of the deterministic policies, evenly spaced over the run; the policy
     with the lowest error is kept."""
     lattice: PositiveInt = 4
-    """Number of evaluation references per axis of each cell. Actions of evaluations do not count as
-    `steps`.
+    """Number of evaluation references per axis of each cell. Actions in evaluations do not count
+    towards `steps`.
 
     The defaults avoid the paper's six references, because a policy must not be selected on the
     references for which its errors are reported.

@@ -2,7 +2,7 @@
 updates.
 
 Inputs and values of the networks are normalized by their running mean and standard deviation. The
-evaluated policy is an average over the last updates. All functions are pure and train a single
+evaluated policy is an average over the last few updates. All functions are pure and train a single
 agent; `vmap` adds agents.
 """
 
@@ -42,7 +42,7 @@ class PPOConfig(Configuration):
     num_envs: PositiveInt = 64
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 15
-    """Number of actions per environment and update, whole cycles of the clock; gradients are
+    """Number of actions per environment and update, a multiple of the clock cycle; gradients are
     propagated through all of them."""
     num_epochs: PositiveInt = 4
     """Number of passes over each rollout."""
@@ -52,10 +52,10 @@ class PPOConfig(Configuration):
     learning_rate: PositiveFloat = 3e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
-    """Final learning rate as a fraction of the initial one (linear decay)."""
+    """Final learning rate as a fraction of the initial learning rate (linear decay)."""
     discount: float = Field(default=0.8, gt=0, lt=1)
-    """Discount factor gamma per action. 0.8 looks about 5 actions ahead, and the window of the
-    reward covers 6."""
+    """Discount factor gamma per action. 0.8 corresponds to a horizon of about 5 actions, and the
+    window of the reward covers 6."""
     gae_lambda: float = Field(default=0.8, ge=0, le=1)
     """Lambda of generalized advantage estimation."""
     clip_ratio: PositiveFloat = 0.2
@@ -66,7 +66,7 @@ class PPOConfig(Configuration):
     """Approximate number of updates over which the evaluated policy is averaged; 0 to evaluate the
     newest policy."""
     value_coef: PositiveFloat = 0.5
-    """Weight of the critic's loss."""
+    """Weight of the critic loss."""
     max_grad_norm: PositiveFloat = 0.5
     """Maximum norm of the gradient; larger gradients are scaled down."""
 

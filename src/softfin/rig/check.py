@@ -111,8 +111,8 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
         is_peak = name == "current_peak_a"
         if limit_a > own_a or (is_peak and limit_a == own_a):
             text = (
-                f"{name} {limit_a:g} A can never trip: the drive itself limits the current to "
-                f"{own_a:g} A; lower it"
+                f"{name} {limit_a:g} A can never trip: the drive limits the current to {own_a:g} "
+                "A; lower this limit"
             )
             yield CheckResult("safety", "note", text)
 

@@ -66,7 +66,7 @@ class SerialPort(Protocol):
         """Number of bytes that have arrived."""
 
     def read(self, size: int, /) -> bytes:
-        """Return bytes, fewer than `size` after the port's timeout."""
+        """Return up to `size` bytes; fewer only if the port times out."""
 
     def write(self, data: bytes, /) -> object:
         """Send bytes."""
@@ -120,7 +120,7 @@ class Computer(Clock):
         except (OSError, ValueError) as error:
             raise DeviceError(
                 f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
-                "and your permission to use it, and end other programs that use it"
+                "and your permission to use it, and close other programs that use it"
             ) from None
 
     def udp_socket(self) -> UdpSocket:

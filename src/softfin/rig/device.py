@@ -139,7 +139,7 @@ class DriveConfig(DeviceConfig):
 
 
 class ForceSensorConfig(DeviceConfig):
-    """Settings that softfin needs from every force sensor."""
+    """Settings that softfin requires for every force sensor."""
 
     DEFAULT_TYPE = "axia80"
 

@@ -12,7 +12,7 @@ from softfin.rig.safety import OVERSHOOT_RAD
 
 Entry = TypeVar("Entry")
 
-UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
+UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop"
 
 MIN_ATTEMPTS = 3
 """Minimum number of attempts at each step of a stop; one unanswered request may use up its time."""
@@ -63,7 +63,7 @@ def stays_off(clock: Clock, is_off: Callable[[], bool], step_s: float) -> bool:
     """Return whether a motor stays off, checking every `step_s` [s]: a program that still drives it
     would power it again.
 
-    Answers may be lost to such a program, but a final answer must confirm that the motor is off.
+    Such a program may miss answers, but a final answer must confirm that the motor is off.
     """
     # By the clock, because a silent drive takes far longer for each answer than a step.
     end = clock() + STOP_CONFIRMED_S

@@ -40,8 +40,8 @@ class LossEstimate:
     """Estimates losses from times that may be late: records that wait for each other are stamped in
     a burst, and nothing is lost in the gap before the next burst.
 
-    A record that follows early earns credit for the next gap. The credit is zero again once the
-    records are on time, so that an error of the rate does not add up.
+    A record that arrives early increases the time allowed for the next gap. The credit is zero
+    again once the records are on time, so that an error of the rate does not add up.
     """
 
     def __init__(self, rate_hz: float) -> None:

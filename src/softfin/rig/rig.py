@@ -39,7 +39,7 @@ class Rig:
         return (*self.sensor.notes(), *(note for note in lock_notes if note is not None))
 
     def check_ready(self) -> None:
-        """Raise RigError unless it has been proved that the drive stops by itself if softfin dies;
+        """Raise RigError unless the drive has been proved to stop by itself if softfin dies;
         the drive must be open."""
         check_proof(self.config, self.drive)
 

@@ -45,5 +45,5 @@ class RobotSetup:
                 raise RigError(
                     f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; "
                     f"{self.machine.name} accepts {lowest:.5g} .. {highest:.5g}; train it within "
-                    "these limits, or widen the rig's"
+                    "these limits, or widen the limits of the rig"
                 )

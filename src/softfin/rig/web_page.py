@@ -35,6 +35,7 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
     if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
         raise RigError(
             f"{where}: returned {response.status} {response.reason[:80]} with {len(body)} bytes; "
-            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; is this the address of an Axia80?"
+            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; check that this is the address of "
+            "an Axia80"
         )
     return body

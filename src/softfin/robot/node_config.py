@@ -20,9 +20,9 @@ class RobotNodeConfig(Configuration):
     """geometry_msgs/WrenchStamped: target wrench, with force [N] and torque about the origin [N
     m]."""
     wrench_topic: TopicName = "/robot/wrench"
-    """geometry_msgs/WrenchStamped: total wrench of the fins' references."""
+    """geometry_msgs/WrenchStamped: total wrench of the fin references."""
     saturated_topic: TopicName = "/robot/saturated"
-    """std_msgs/Bool: true if part of the target wrench is out of the fins' reach."""
+    """std_msgs/Bool: true if part of the target wrench is out of reach of the fins."""
     stop_topic: TopicName = "/robot/stop"
     """std_msgs/Bool: true stops every fin and this node; false does not cancel the stop."""
     vehicle_frame_id: str = "base_link"

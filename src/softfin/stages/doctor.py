@@ -107,7 +107,7 @@ def _can() -> CheckResult:
     }
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     if not states:
-        text = "no SocketCAN interface; an EPOS2 needs one, or another CAN adapter"
+        text = "no SocketCAN interface; an EPOS2 needs SocketCAN or a different CAN adapter"
     elif all(states.values()):
         return CheckResult("CAN", "well", text)
     else:
@@ -125,5 +125,8 @@ def _serial_ports() -> CheckResult:
     elif all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
     else:
-        text += "; not all may be used: run sudo usermod -aG dialout $USER, then log in again"
+        text += (
+            "; you may lack permission to use some of them: run sudo usermod -aG dialout $USER, "
+            "then log in again"
+        )
     return CheckResult("serial ports", "note", text)

@@ -32,8 +32,8 @@ def inspect_logs(
     Args:
         logs: A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags.
         out: Output folder for inspection.json and the figure.
-        recordings: How to read recordings that softfin did not make.
-        save: Save these options as log.yaml beside the logs, where other commands find them.
+        recordings: How to read recordings from other programs.
+        save: Save these options as log.yaml next to the logs, where other commands find them.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -86,7 +86,7 @@ def import_logs(
     Args:
         logs: A recording, or a folder of recordings.
         out: Dataset folder to write.
-        recordings: How to read recordings that softfin did not make.
+        recordings: How to read recordings from other programs.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 

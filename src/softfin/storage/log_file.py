@@ -1,8 +1,8 @@
 """A log as a Parquet file: seven named columns and any further channels, fully checked on writing
 and reading.
 
-A Log is read back exactly as written. A log that cannot be used for training raises a LogError with
-the place and the cause.
+A Log is read back exactly as written. A log that cannot be used for training raises a LogError that
+gives the location and the cause.
 """
 
 from pathlib import Path

@@ -76,8 +76,8 @@ class SurrogateConfig(Configuration):
     """Name of the architecture, as for `SurrogatePlant.model`."""
 
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out to choose the weights, and to calibrate intervals; at
-    least one log. Without test logs, the surrogate is scored on them."""
+    """Fraction of the training logs held out to choose the weights and to calibrate intervals; at
+    least one log. Without test logs, the surrogate is scored on the held-out logs."""
 
 
 class Architecture(NamedTuple):

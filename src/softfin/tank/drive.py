@@ -51,11 +51,12 @@ class DriveConfig(Configuration):
     acceleration_rad_s2: float = Field(81.0, gt=0)
     """Acceleration and deceleration of the profile [rad/s2]."""
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
-    """Delay from a command to its first effect on the profile [s], caused by computer and bus."""
+    """Delay from a command to its first effect on the profile [s], caused by the computer and the
+    bus."""
     lag_s: float = Field(0.001, ge=0)
-    """Following error divided by velocity [s], caused by the servo's velocity damping."""
+    """Following error divided by velocity [s], caused by the velocity damping of the servo."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
-    """Servo torque per following error [N m/rad]."""
+    """Servo torque per unit of following error [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
     """Inertia of the rotor and gearbox times the square of the gear ratio [kg m2]; 22.6e-7 kg m2 at
     111:1."""

@@ -43,7 +43,8 @@ class FinConfig(Configuration):
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Number of rigid plates [-]. The force error decreases at least with its square."""
+    """Number of rigid plates [-]. The force error decreases at least with the square of this
+    number."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)

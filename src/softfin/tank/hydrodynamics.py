@@ -40,7 +40,7 @@ from softfin.tank.sensor import remaining
 
 
 class WaterConfig(Configuration):
-    """Coefficients of the water's loads, and its memory.
+    """Coefficients of the hydrodynamic loads, and the memory of the water.
 
     The default drag and stream coefficients come from a calibration against the published fin
     (docs/appendix/tank.md). Those of added mass, tip and friction come from theory.
@@ -68,7 +68,7 @@ class WaterConfig(Configuration):
     """Mass of the water that takes up the momentum of the fin [kg]; the default is a cube of about
     0.13 m. Below 0.2 kg, the stream would change too fast for its time step of one tick."""
     stream_decay_s: float = Field(0.241, ge=0)
-    """Time constant of the stream's decay [s]; 0 for still water."""
+    """Time constant of the decay of the stream [s]; 0 for still water."""
 
 
 REFERENCE_STROKE = 5.0

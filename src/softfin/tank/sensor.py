@@ -78,7 +78,7 @@ class SensorConfig(Configuration):
     filter_s: float = Field(0.01, ge=0)
     """Time constant of the low-pass filter [s]; 0.01 s corresponds to 16 Hz."""
     misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
-    """Angle from the axes of the tank to those of the sensor [rad]; positive from x to y."""
+    """Angle from the tank axes to the sensor axes [rad]; positive from x to y."""
     noise_n: float = Field(0.05, ge=0)
     """Standard deviation of the white noise on each axis [N]; the default is 1e-4 of the range."""
     drift_n: float = Field(0.05, ge=0)

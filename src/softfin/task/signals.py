@@ -50,7 +50,7 @@ class Recorded(Configuration):
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
     """Times at which each force starts [s], increasing from 0."""
     force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
-    """Forces (x, y) at those times [N]."""
+    """Forces (x, y) from those times on [N]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Recorded":
@@ -133,7 +133,7 @@ def read_reference_file(path: Path) -> Recorded:
             "is not a finite number"
         )
         raise ConfigurationError(
-            f"{source}: {met}; correct it, or remove the row, and the previous force is held"
+            f"{source}: {met}; correct it, or remove the row to hold the previous force"
         )
     # softfin's own logs start one tick late; see the top of this module.
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:

@@ -68,7 +68,7 @@ class LogStatistics(ForceLag, Orientation):
     """Mean force while the fin is settled [N]; None if it never settles."""
     force_std_n: tuple[float, ...]
     channels: dict[str, tuple[float, float]]
-    """Minimum and maximum of each further channel."""
+    """Minimum and maximum of each additional channel."""
     fin_length_m: float
     """Length of a fin that makes forces of this size [m]."""
     speed_ratio: float | None

@@ -40,11 +40,12 @@ class ImportConfig(Configuration):
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
     command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
     stamps: Literal["header", "logging"] = "header"
-    """Times of a bag's messages: in their headers, or of logging if the headers are wrong."""
+    """Times of the messages in a bag: from their headers, or from logging if the headers are
+    wrong."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
-    """Velocity of all commands in files without that column [rad/s]."""
+    """Velocity of all commands in files without a velocity column [rad/s]."""
     time_unit: TimeUnit | None = None
     """Unit of the time column (default: from the column name, or s)."""
     angles: Annotated[dict[AngleChannel, str], PAIRS] = pydantic.Field(default_factory=dict)
@@ -55,15 +56,15 @@ class ImportConfig(Configuration):
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Recorded axes that are softfin's +x (thrust, drives the robot forward) and +y."""
+    """Recorded axes that correspond to +x (thrust, which drives the robot forward) and +y."""
     negate: Annotated[tuple[Literal[SignedChannel, FurtherChannel], ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""
+    """Delay of the command timestamps relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the force time stamps relative to the angle [ms]; softfin removes it."""
+    """Delay of the force timestamps relative to the angle [ms]; softfin removes it."""
     rows_per_log: int | None = pydantic.Field(default=None, ge=2)
-    """Rows per log of files that contain several logs end to end; 20000 in the paper."""
+    """Rows per log in files that contain several logs end to end; 20000 in the paper."""
     test: str | None = None
     """Pattern for the names of test logs (default: names that start with test, and files in a
     folder named test)."""

@@ -252,7 +252,7 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
-    """Split a name into its words in lower case and the unit at its end (None without a unit)."""
+    """Split a name into its lowercase words and its trailing unit (None without a unit)."""
     if name == ROSTOPIC_TIME:
         return ["time"], "ns"
     # Drop "(t)", which only marks a function of time, and the exponent of "rad s^-1", because the

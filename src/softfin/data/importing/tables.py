@@ -184,7 +184,7 @@ def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], so
         cell = values[int(is_other.argmax())].as_py()
         raise LogError(
             f"{source}: {is_other.sum():,} cells are not plain numbers, the first {cell!r}; save "
-            "the file without separators of thousands and without units in the cells"
+            "the file without thousands separators or units in the cells"
         )
 
 

@@ -97,7 +97,7 @@ class Server(socketserver.ThreadingTCPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler for one request; accepts only the page and its data."""
+    """Handler for one request; it serves only the page and its data."""
 
     server: Server
     server_version = "softfin"

@@ -44,7 +44,7 @@ class TransportConfig(Configuration):
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain (default: the environment variable ROS_DOMAIN_ID, or 0)."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
-    """Network interface for DDS, e.g. eth0, not for rclpy (default: this computer only)."""
+    """Network interface for DDS only, e.g. eth0 (default: this computer only)."""
     node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
     """Node name, used with rclpy."""
 
@@ -86,7 +86,8 @@ class NodeConfig(Configuration):
     at which the fin may still beat; stop: stop the fin."""
     reference_limit_n: PositiveFloat | None = None
     """Maximum reference on either axis [N]; larger ones are rejected. None: 20 N for a fin like the
-    paper's, in proportion to the size of other fins, and never less than the controller's range."""
+    paper's, in proportion to the size of other fins, and never less than the range of the
+    controller."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach other nodes."""
@@ -114,7 +115,7 @@ class NodeConfig(Configuration):
 
 
 def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
-    """Return the topics of a fin's node, by field name of NodeConfig."""
+    """Return the topics of the node of a fin, keyed by the field names of NodeConfig."""
     return {
         "joint_topic": f"{prefix}/{name}/joint_states",
         "wrench_topic": f"{prefix}/{name}/wrench",

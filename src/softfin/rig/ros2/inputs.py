@@ -58,8 +58,8 @@ class NewestReference(Generic[InputValue]):
         if self.subscription.mismatched():
             topic = self.subscription.topic
             self._once(
-                f"{topic}: messages of a publisher cannot be received; it must be reliable, not "
-                "best effort"
+                f"{topic}: messages from a publisher cannot be received; its quality of service "
+                "must be reliable, not best effort"
             )
         newest = self._newest
         timeout = self._timeout
@@ -110,10 +110,10 @@ class EmergencyStop:
                 # Only this reader must match every publisher, because it requests the least.
                 if self._subscriptions["best_effort"].mismatched():
                     problem = (
-                        "messages of a publisher cannot be received, so it cannot stop the fin"
+                        "messages from a publisher cannot be received, so it cannot stop the fin"
                     )
                     self._once(
-                        f"{self._topic}: {problem}; use ROS 2's default quality of service for it"
+                        f"{self._topic}: {problem}; use the default quality of service of ROS 2"
                     )
             except DeviceError as error:
                 self._reason = f"emergency stop cannot be received: {error}"

@@ -58,7 +58,7 @@ def open_transport(config: TransportConfig, types: Typestore | None = None) -> T
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(
-            "rclpy is not installed in this Python environment; source ROS 2's setup file, or "
+            "rclpy is not installed in this Python environment; source the ROS 2 setup file, or "
             "use transport: dds"
         )
     if config.transport == "rclpy" or (config.transport == "auto" and installed):
@@ -448,7 +448,7 @@ class Ros2Machine:
         topic = self.config.command_topic
         if others := transport.publishers(topic):
             lines.append(
-                f"{topic}: {', '.join(others)} may also command this fin; end that program first"
+                f"{topic}: {', '.join(others)} may also command this fin; close that program first"
             )
         return [line for line in lines if line is not None]
 

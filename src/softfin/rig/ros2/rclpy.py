@@ -27,8 +27,8 @@ class RclpyTransport:
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:
             raise RigError(
-                f"--network {config.network} applies only to DDS; rclpy uses ROS 2's own network "
-                "settings, so remove --network"
+                f"--network {config.network} applies only to DDS; rclpy uses the network settings "
+                "of ROS 2, so remove --network"
             )
         try:
             rclpy, executors, signals = map(

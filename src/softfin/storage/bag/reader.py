@@ -21,7 +21,7 @@ from softfin.storage.bag.recovery import MAX_RECORD_BYTES, check_bag
 from softfin.storage.paths import BAGS
 
 ENCODINGS = {"cdr": "CDR (ROS 2)", "ros1": "ROS 1"}
-"""Encodings of messages that `decode_message` reads, with their names."""
+"""Message encodings that `decode_message` can read, with their names."""
 
 READERS: dict[str, Any] = {".db3": Sqlite3Reader, ".bag": Ros1Reader}
 """Readers of files by suffix."""

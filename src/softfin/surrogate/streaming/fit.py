@@ -363,9 +363,9 @@ def split_streaming(
     holding = [log for log in held_out if log.rows >= needed]
     if not holding:
         raise LogError(
-            f"held-out logs: none of {len(held_out)} has {needed} rows, which intervals for the "
-            f"mean over {PAPER_CLOCK.window_ticks} samples after burn_in = {config.burn_in} "
-            "require; record longer logs"
+            f"held-out logs: none of {len(held_out)} has the {needed} rows that are required for "
+            f"intervals of the mean over {PAPER_CLOCK.window_ticks} samples after burn_in = "
+            f"{config.burn_in}; record longer logs"
         )
     return training, holding, measure_scales(training), Table.of(training, config.ticks)
 

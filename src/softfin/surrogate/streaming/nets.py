@@ -198,8 +198,8 @@ class ForceNetConfig(Configuration):
     hidden: PositiveInt = 32
     """Number of units in the layer between memory and force."""
     wake: int = Field(default=4, ge=0, le=64)
-    """Number of wake vectors, which are fixed in the tank's axes. Their initial time constants are
-    0.05 to 1.5 s."""
+    """Number of wake vectors, which are fixed in the axes of the tank. Their initial time constants
+    are 0.05 to 1.5 s."""
 
 
 class ForceState(NamedTuple):
@@ -308,6 +308,6 @@ def relax(wake: Parity, pushed: Parity, kept: Float[Array, "wake"]) -> Parity:
 
 def rotate(vector: Parity, cos: Array, sin: Array) -> Parity:
     """Rotate components along and across a fin at an angle, given by its cosine and sine, into the
-    axes in which the angle is measured: x + y = along (cos, -sin) + across (sin, cos)."""
+    axes in which the angle is measured: (x, y) = along * (cos, -sin) + across * (sin, cos)."""
     along, across = vector
     return Parity(along * cos + across * sin, across * cos - along * sin)

@@ -39,7 +39,7 @@ class Scales(Configuration):
     force_n: float = Field(gt=0)
     """Root mean square of the force on both axes [N]."""
     angle_rad: float = Field(gt=0)
-    """Standard deviation of the shaft's angle [rad]."""
+    """Standard deviation of the shaft angle [rad]."""
 
 
 def measure_scales(logs: Sequence[Log]) -> Scales:

@@ -1,5 +1,5 @@
-"""Calibrates a tank from logs: the result is the tank, the recording, and how well their parameters
-are determined.
+"""Calibrates a tank from logs: the result is the tank, the recording, and a measure of how well
+their parameters are determined.
 
 A global search with a coarse tank finds the region of the optimum, and a local search with the full
 tank refines it. The Jacobian at the optimum shows which parameters the logs determine.

@@ -206,7 +206,7 @@ class CalibrateConfig(Configuration):
     """Part of each segment that is simulated but not compared [s]; must be longer than a stroke,
     because the simulation starts at rest and the log may start mid-stroke."""
     velocity_rad_s: CalibrationRange | None = None
-    """Range of the velocities that a plant is commanded [rad/s]; null for its limits. Logs contain
+    """Range of the velocities commanded to a plant [rad/s]; null for its limits. Logs contain
     their own commands."""
 
     @model_validator(mode="after")

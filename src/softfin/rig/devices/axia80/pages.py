@@ -85,7 +85,7 @@ def read_settings(host: str, port: int, computer: Computer) -> SensorSettings:
     page = computer.fetch_page(host, port, SETTINGS)
     source = f"http://{host}:{port}{SETTINGS}"
     if page is None:
-        raise RigError(f"{source}: page not found; is this the address of an Axia80?")
+        raise RigError(f"{source}: page not found; check that this is the address of an Axia80")
     return parse_settings(page, computer.fetch_page(host, port, CALIBRATION), source)
 
 

@@ -394,8 +394,7 @@ class Exchange:
             # waiting for user input.
             self._report(
                 f"another program on {self.connection.name} uses this program's node number "
-                f"{self.config.host}; end it, or set a different drive.host_node in each rig's "
-                "file"
+                f"{self.config.host}; close it, or set a different drive.host_node in each rig file"
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())

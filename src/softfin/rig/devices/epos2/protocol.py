@@ -229,7 +229,7 @@ FAULTS = {
     0x3210: ("over-voltage", "check the supply; brake more gently, or add a brake resistor"),
     0x3220: ("under-voltage", "check the supply: its voltage fell below the drive's minimum"),
     0x4210: ("over-temperature", "let the drive cool down; move less or more slowly"),
-    0x5113: ("+5 V supply too low", "check for a short circuit in the encoder's cable"),
+    0x5113: ("+5 V supply too low", "check for a short circuit in the encoder cable"),
     0x5114: ("supply of the output stage too low", "check the supply and its fuse"),
     0x6100: (
         "internal software error",
@@ -237,7 +237,7 @@ FAULTS = {
     ),
     0x6320: (
         "software parameter error",
-        "restore the drive's defaults in EPOS Studio and tune it again",
+        "restore the defaults of the drive in EPOS Studio and tune it again",
     ),
     0x7320: (
         "position sensor error",
@@ -263,18 +263,18 @@ FAULTS = {
         "following error",
         "check for a blocked fin; reduce velocity or acceleration, or tune the drive",
     ),
-    0xFF01: ("hall sensor error", "check the hall sensors' cable"),
+    0xFF01: ("hall sensor error", "check the hall sensor cable"),
     0xFF02: ("index processing error", "check the encoder's index channel"),
     0xFF03: (
         "encoder resolution error",
         "set the encoder lines in the drive to match the encoder",
     ),
-    0xFF04: ("hall sensor not found", "check the hall sensors' cable"),
+    0xFF04: ("hall sensor not found", "check the hall sensor cable"),
     0xFF06: ("negative limit switch", "turn the fin away from the switch"),
     0xFF07: ("positive limit switch", "turn the fin away from the switch"),
     0xFF08: (
         "hall angle detection error",
-        "check the hall sensors' cable and the motor's pole pairs",
+        "check the hall sensor cable and the number of pole pairs of the motor",
     ),
     0xFF09: ("software position limit", "turn the fin back inside its limits, or zero it again"),
     0xFF0A: ("position sensor breach", "check the encoder and its cable"),
