@@ -222,7 +222,7 @@ def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, mon
     monkeypatch.setattr("softfin.data.stroke_time.stroke_time", lambda logs: 0.12)
     out = tmp_path / "s"
     text = run(capsys, "fit", dataset, "--out", str(out))
-    assert "actions of 0.12 s suit this fin and its logs: --clock auto means 8 Hz" in text
+    assert "actions of 0.12 s suit this fin and its logs: --clock auto selects 8 Hz" in text
     assert f"next: softfin map {out} --clock auto --out gaits" in text
     assert find_clock("auto", str(out)) == ActionClock.at(8, 0.75)
 

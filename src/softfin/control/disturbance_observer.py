@@ -7,7 +7,7 @@ estimated difference is a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe a
 acts like an integrator that accounts for its own output, so the delay of the window does not
 destabilise it.
 
-The sensor measures the sum of the controller's bias b and its own drift d: e = b + d. Only b may be
+The sensor measures the sum of the controller bias b and its own drift d: e = b + d. Only b may be
 corrected; a correction of d would move the true force away from the reference. Their time courses
 differ. The sensor is zeroed at rest, so d starts at 0 and then wanders, while b exists from the
 start and changes with the reference. A Kalman filter with the states b and d on each axis therefore
@@ -29,7 +29,7 @@ the reference returns to an earlier value. If the reference keeps moving for min
 therefore assigns the drift to b and wrongly corrects it. At a constant reference, the observer
 assigns a slow change in the fin to d and corrects very little of it.
 
-The inner reference stays within the controller's cells and the reachable forces, so the observer
+The inner reference stays within the controller cells and the reachable forces, so the observer
 does not wind up at their edge.
 """
 
@@ -60,7 +60,7 @@ from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 @cache
 def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
     """Return the weights of the last actions in the window, newest first, by age modulo the length
-    of the clock's cycle."""
+    of the clock cycle."""
     # Actions differ in duration, so their weights depend on the phase of the clock.
     cycle = len(clock.ticks)
     return np.array(
@@ -75,7 +75,7 @@ def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
 
 
 UNSTEADY = 3.0
-"""Change in the window's error within the last `UNSTEADY_ACTIONS`, divided by its noise, above
+"""Change in the window error within the last `UNSTEADY_ACTIONS`, divided by its noise, above
 which the fin counts as not settled."""
 
 UNSTEADY_ACTIONS = 3
@@ -327,10 +327,10 @@ class DisturbanceObserver:
         return bias, drift, covariance
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
-        """Move the corrected reference into the reachable forces and the controller's cells.
+        """Move the corrected reference into the reachable forces and the controller cells.
 
         A correction may lead into another cell. If it leads between cells, it stops at the edge of
-        the reference's own cell. Cells are applied last: outside the cells, the controller's
+        the reference's own cell. Cells are applied last: outside the cells, the controller
         commands are meaningless, while outside the reachable forces, the fin only falls short.
         """
         if self.reachable is not None:

@@ -45,7 +45,7 @@ LAST_COMMAND = "last_command"
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""Maximum difference from NumPy's commands [rad, rad/s]; if it is larger, no file is written."""
+"""Maximum difference from the NumPy commands [rad, rad/s]; if it is larger, no file is written."""
 
 EPISODE = 240
 """Number of actions in the comparison."""
@@ -57,7 +57,7 @@ class Exported(NamedTuple):
     bytes: int
     opset: int
     worst: float
-    """Largest difference from softfin's own commands during the check [rad, rad/s]."""
+    """Largest difference from the softfin commands during the check [rad, rad/s]."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 

@@ -86,7 +86,7 @@ def controller_cells(controller: object) -> Cells:
 
 
 def reachable_set(controller: object) -> Reachable | None:
-    """Return the reachable mean forces of the controller's fin, if known."""
+    """Return the reachable mean forces of the controller fin, if known."""
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
 
@@ -111,7 +111,7 @@ def resolve_reference(
 ) -> tuple[ForceVector, str | None]:
     """Return the reference to track, with a warning if it differs from the requested one.
 
-    An unreachable reference is replaced by the nearest reachable force within the controller's
+    An unreachable reference is replaced by the nearest reachable force within the controller
     cells; with `strict`, it raises CoverageError instead. A reference for which the controller was
     not trained always raises CoverageError.
     """
@@ -133,7 +133,7 @@ def resolve_reference(
 def nearest_trackable(
     controller: Any, forces: Float[np.ndarray, "forces 2"]
 ) -> Float[np.ndarray, "forces 2"]:
-    """Replace unreachable forces by the nearest reachable ones within the controller's cells.
+    """Replace unreachable forces by the nearest reachable ones within the controller cells.
 
     Raises CoverageError for a reachable force that the controller was not trained for, and if none
     of the forces that it was trained for is reachable.

@@ -271,7 +271,7 @@ class EmulatedServo:
         return self._units.position(angle) + self._offset()
 
     def _offset(self) -> int:
-        """Return the difference between the servo's position and the one of `Units`."""
+        """Return the difference between the servo position and the one of `Units`."""
         return MOUNTED_TICKS + self._applied_offset()
 
     def _applied_offset(self) -> int:

@@ -25,7 +25,7 @@ class FinMotion(NamedTuple):
     current: float
     """Motor current [A]."""
     wrench: Wrench
-    """Wrench of the fin on its mount, in softfin's axes [N, N m], as output by the sensor's
+    """Wrench of the fin on its mount, in softfin's axes [N, N m], as output by the sensor
     electronics."""
 
 

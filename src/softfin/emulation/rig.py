@@ -87,7 +87,7 @@ class EmulatedRig(contextlib.ExitStack):
         return _HostSide(config, self)
 
     def description(self) -> str:
-        """Return a description of the rig's addresses."""
+        """Return a description of the rig addresses."""
         place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
             place = f"socketcand {HOST}:{self.server.port}"
@@ -149,7 +149,7 @@ def state_file(rig: Path) -> Path:
 class _KeptRig(EmulatedRig):
     """A rig in simulated time with a state file next to its file, for the next command.
 
-    The state consists of the fin's position, the motion of the water and the drive's zero.
+    The state consists of the fin position, the motion of the water and the drive zero.
     """
 
     def __init__(self, config: RigConfig, file: Path) -> None:

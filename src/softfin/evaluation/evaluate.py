@@ -64,8 +64,8 @@ class EvaluateConfig(Configuration):
     """Reference forces (x, y) [N]; by default the paper's six, or the same pattern within the
     reach of a different fin."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
-    """Duration of each experiment from rest [s], an integer; 30 in the paper. Means begin once
-    the first window is full."""
+    """Duration of each experiment from rest [s], an integer; 30 in the paper. Means start once the
+    first window is full."""
     seeds: int = pydantic.Field(default=5, ge=1)
     """Number of repetitions with different random numbers in the plant; intervals need at least
     3."""
@@ -112,7 +112,7 @@ class Evaluation:
     random: RangeErrors | None = None
     """Errors over random references."""
     reachable: Reachable | None = None
-    """Forces that the fin can produce, if the controller's file contains them."""
+    """Forces that the fin can produce, if the controller file contains them."""
 
     def summary(self) -> EvaluationSummary:
         """Return the conditions, the scores by reference and their mean, as written by
@@ -169,7 +169,7 @@ def score_controller(
 
     Raises CoverageError for references for which the controller was not trained, and with
     `config.strict` also for unreachable references, and ConfigurationError if the experiments are
-    too short for the controller's clock.
+    too short for the controller clock.
     """
     reachable = reachable_set(controller)
     config = _with_references(config, controller)
@@ -190,8 +190,8 @@ def score_controller(
     clock = controller_clock(controller)
     if seconds < min_seconds(clock):
         raise ConfigurationError(
-            f"seconds = {seconds}: too short for this controller's clock ({clock}); use at least "
-            f"{min_seconds(clock)}"
+            f"seconds = {seconds}: too short for the clock of this controller ({clock}); use at "
+            f"least {min_seconds(clock)}"
         )
     experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
     constant, *moving = run_together(controller, plant, experiments, keys)

@@ -77,7 +77,7 @@ class MovingPlan(NamedTuple):
         seconds: int,
         strict: bool = False,
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError for forces outside the controller's range,
+        """Find the forces to track; raises CoverageError for forces outside the controller range,
         and with `strict` also for unreachable forces."""
         tracked = []
         warnings = []
@@ -150,11 +150,12 @@ def _resolve_signal(
     )
     if strict:
         raise CoverageError(
-            f"{problem}; remove --strict to track the nearest reachable forces in this "
-            "controller's range instead"
+            f"{problem}; remove --strict to track the nearest reachable forces in the range of "
+            "this controller instead"
         )
     return near, (
-        f"{problem}; the nearest reachable forces in this controller's range are tracked instead"
+        f"{problem}; the nearest reachable forces in the range of this controller are tracked "
+        "instead"
     )
 
 

@@ -69,7 +69,7 @@ def random_errors(
     seconds: int,
     key: PRNGKeyArray,
 ) -> RangeErrors:
-    """Compute the errors at random references within the controller's cells and the fin's reachable
+    """Compute the errors at random references within the controller cells and the fin's reachable
     region."""
     references = draw_references(controller, count, named_generator(seed, "evaluate/random"))
     return summarize(references, errors_at(controller, plant, references, seconds, key))
@@ -92,7 +92,7 @@ def draw_references(
     if len(references) < count:
         raise CoverageError(
             f"random = {count}: this fin can reach only {len(references)} of {len(forces)} "
-            "references drawn from the controller's range; train the controller for reachable "
+            "references drawn from the range of the controller; train the controller for reachable "
             "forces (run softfin map to plot them)"
         )
     return references

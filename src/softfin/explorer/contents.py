@@ -1,6 +1,6 @@
 """Plants and controllers as plain data for the page: weights in base64, configurations as JSON.
 
-From these data, the page's scripts repeat the computations of `softfin.tank`,
+From these data, the page scripts repeat the computations of `softfin.tank`,
 `softfin.surrogate.streaming` and `softfin.control`.
 """
 
@@ -30,10 +30,11 @@ from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
 
 HAND_STROKE_RAD = 0.5
-"""First stroke of the user's hand to each side of the angle [rad]; it swims forward."""
+"""First stroke to each side of the angle when the user moves the fin by hand [rad]; the fin swims
+forward."""
 
 COLD_C = 5.0
-"""Water temperature of the page's cold-water option [degrees Celsius]."""
+"""Water temperature of the page cold-water option [degrees Celsius]."""
 
 
 def encode_arrays(array: AnyArray) -> JsonObject:

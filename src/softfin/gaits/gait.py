@@ -203,7 +203,7 @@ class ForceMap(NamedTuple):
         clock = ActionClock.model_validate(description["clock"])
         if clock.window_actions != gait_actions:
             raise ValueError(
-                f"gaits of {gait_actions} actions do not fit the clock's window of "
+                f"gaits of {gait_actions} actions do not fit the window of the clock, "
                 f"{clock.window_actions}"
             )
         return cls(found, Reachable.from_dict(description["reachable"]), clock)

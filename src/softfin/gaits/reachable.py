@@ -48,7 +48,7 @@ has a region without area, but its tolerances must still suit the length of the 
 
 DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
 """Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
-numbers and do not depend on a reach's last digits."""
+numbers and do not depend on the last digits of a reach."""
 
 OUTLINE_POINTS = 8192
 """Number of points by which the edge of a region or cell is represented in the search for the

@@ -73,7 +73,7 @@ STUCK_N = 0.05
 """Force error above which a node restarts from a neighbour, for the paper's fin [N].
 
 The search divides all forces by the size of the fin (`Reachable.size`), so newtons in this module
-are those of the paper's fin.
+refer to the paper's fin.
 """
 
 FORCE_STEP = 0.6

@@ -44,8 +44,8 @@ callers share the compiled program."""
 
 STROKE_SHAPES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
 """Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions. The
-survey uses those that fit into the window a whole number of times: with the paper's clock, strokes
-of 0.67 s, 1 s and 2 s."""
+survey uses the strokes whose duration divides the window: with the paper's clock, strokes of 0.67
+s, 1 s and 2 s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""

@@ -5,7 +5,8 @@ from softfin.core.plant import NoisyPlant, Plant
 from softfin.gaits.reachable import Reachable
 
 LINE_WIDTH = 0.01
-"""Square root of a region's area divided by its largest radius, below which it counts as a line."""
+"""Square root of the area of a region divided by its largest radius, below which it counts as a
+line."""
 
 
 def check_usable(plant: Plant, reachable: Reachable) -> None:
@@ -16,7 +17,7 @@ def check_usable(plant: Plant, reachable: Reachable) -> None:
     if reachable.area() < (LINE_WIDTH * reachable.radius.max()) ** 2:
         raise PlantError(
             "this plant's mean forces lie on a line, but softfin controls x and y; check its "
-            "model, and that both axes of the force are measured"
+            "model, and check that both force axes are measured"
         )
     if not isinstance(plant, NoisyPlant):
         return

@@ -19,7 +19,8 @@ from softfin.task.references import PAPER_CELLS, PAPER_RANGE, divide
 from softfin.task.task import TaskConfig
 
 GRID_SHAPE = (2, 3)
-"""Number of cells along x and y in a grid over a fin's reach: six in all, as in the paper."""
+"""Number of cells along x and y in a grid over the reach of a fin: six in total, as in the
+paper."""
 
 CHECKED_POINTS = 8
 """Number of points along each side of a cell; the fin must reach at least one of them."""

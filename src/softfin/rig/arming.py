@@ -94,7 +94,7 @@ def on_terminal() -> bool:
 
 
 def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Request a stop on Enter or when the terminal's input ends; call `line` with any other
+    """Request a stop on Enter or when the terminal input ends; call `line` with any other
     input."""
     if on_terminal() and not _in_background():
         listen_to_keyboard(stop, line, typed(stop, sys.stdin))

@@ -96,7 +96,7 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
 
 
 def check_currents(rig: Rig) -> Iterator[CheckResult]:
-    """Compare the safety limits for the current with the drive's limits; one above the drive's
+    """Compare the safety limits for the current with the drive limits; one above the drive
     limit can never trip."""
     safety = rig.config.safety
     own = rig.drive.current_limits()
@@ -128,7 +128,8 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         return
     if proof is None:
         return
-    after = f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
+    after_ms = proof.faulted_after_s * 1000
+    after = f"drive stopped {after_ms:.0f} ms after the last heartbeat from softfin"
     yield CheckResult("own stop", "well", f"{after}, proved {proof.date}")
     moving = proof.moving
     if moving is None:

@@ -61,7 +61,7 @@ class DeviceConfig(Configuration):
     """Type of a device without the key `type`."""
 
     type: str
-    """Name of the device's type."""
+    """Name of the device type."""
 
 
 def is_address(field: str) -> bool:
@@ -97,7 +97,7 @@ class DriveConfig(DeviceConfig):
     """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
     gearbox and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
-    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin's mount can
+    """Deceleration of a stop [rad/s2]; no default, because it depends on what the fin mount can
     withstand."""
     direction: Literal[1, -1] = 1
     """-1 if the positive direction of the drive corresponds to negative fin angles."""
@@ -121,7 +121,7 @@ class DriveConfig(DeviceConfig):
 
     @property
     def host(self) -> int | None:
-        """Number of this program on the drive's bus; None if the bus has none."""
+        """Number of this program on the drive bus; None if the bus has none."""
         return None
 
     @model_validator(mode="after")
@@ -148,7 +148,7 @@ class ForceSensorConfig(DeviceConfig):
     from the right-hand rule. No default, because it depends on how the sensor is mounted."""
 
     def check_stale(self, force_stale_s: float) -> None:
-        """Raise ValueError if the sensor's readings are usually older than a limit on their age
+        """Raise ValueError if the sensor readings are usually older than a limit on their age
         [s]."""
 
 
@@ -182,7 +182,7 @@ class ForceReading(NamedTuple):
 
 
 class CurrentLimits(NamedTuple):
-    """Limits of a drive for the motor's current [A]; None if unknown."""
+    """Limits of a drive for the motor current [A]; None if unknown."""
 
     peak_a: float | None
     continuous_a: float | None
@@ -215,7 +215,7 @@ class Drive(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the drive's setup since it was opened, one line each."""
+        """Notes on the drive setup since it was opened, one line each."""
 
     @property
     def referenced(self) -> bool:
@@ -239,7 +239,7 @@ class Drive(Protocol):
         milliseconds. Also sends what keeps the drive from stopping by itself."""
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]; may wait 20 ms."""
+        """Return the shaft angle now [rad]; may wait 20 ms."""
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Power the motor, which holds its position; if this raises RigError or DeviceError, the
@@ -260,7 +260,7 @@ class Drive(Protocol):
         """Make the present angle the fin's zero; nothing moves. The drive must be open."""
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its description; None if there was none. The
+        """Acknowledge the drive fault and return its description; None if there was none. The
         motor stays off. Raises DeviceError if the fault persists."""
 
     def switch_off(self) -> None:
@@ -275,7 +275,7 @@ class Drive(Protocol):
         """Yield lines for `softfin rig check` about the open drive; the first describes it."""
 
     def current_limits(self) -> CurrentLimits:
-        """Return the open drive's own limits for the motor's current."""
+        """Return the open drive's own limits for the motor current."""
 
     def complaints(self) -> tuple[str, ...]:
         """Return one line per fault as of the latest read, ending with its fix."""

@@ -19,7 +19,7 @@ class DriveType(Generic[Settings]):
     config: type[Settings]
     """Class of its configuration."""
     make: Callable[[Settings, BusConfig | None, Computer, Callable[[str], None] | None], Drive]
-    """Makes a drive from its configuration, the rig's CAN bus, the computer, and a function to call
+    """Makes a drive from its configuration, the rig CAN bus, the computer, and a function to call
     at once when the drive reports a fault, from any thread."""
 
 

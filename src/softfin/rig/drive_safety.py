@@ -41,7 +41,7 @@ def check_settings(
         if value is None:
             notes.append(f"drive has no {setting.entry}; check this setting in {program}")
         elif value not in setting.allowed:
-            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix} in {program}")
+            raise RigError(f"drive setting {setting.entry} is {value}: {setting.fix} in {program}")
     return tuple(notes)
 
 
@@ -90,7 +90,7 @@ def check_no_pause(silent_s: float, longest_s: float) -> None:
 
 
 def check_fin_angle(angle: float, config: DriveConfig) -> None:
-    """Raise RigError if the fin's angle [rad] is so far outside its range that its motor must not
+    """Raise RigError if the fin angle [rad] is so far outside its range that its motor must not
     be powered."""
     low = config.angle_min_rad
     high = config.angle_max_rad

@@ -1,4 +1,4 @@
-"""Run a controller on a machine: actions on the controller's clock, each based on the readings
+"""Run a controller on a machine: actions on the controller clock, each based on the readings
 since the previous one.
 
 References can come from the user, a topic, the rows of a file or any function that returns the

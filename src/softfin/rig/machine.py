@@ -1,7 +1,7 @@
 """Interface to a real fin driven by the 100 Hz loop: the rig, ROS 2 topics, or your own machine.
 
 All times are from `time.monotonic` [s], or from the machine's own `clock` if it has one. All calls
-come from the loop's thread, except that any thread may call `stop`.
+come from the loop thread, except that any thread may call `stop`.
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 several times, and each time the drive must stop the fin by itself.
 
 The program runs as a process of its own (``python -m softfin.rig.prove_moving RIG``), which writes
-the fin's angle at each tick. For a rig in simulated time, a session in this process falls silent
+the fin angle at each tick. For a rig in simulated time, a session in this process falls silent
 instead. Afterwards, softfin is silent as well, because looking at some drives keeps them going.
 """
 
@@ -34,7 +34,7 @@ DEATHS = 5
 """Number of times that the program is killed, and that it is suspended."""
 
 SWING_RAD = 0.3
-"""Amplitude of the swing around the fin's angle at rest [rad]."""
+"""Amplitude of the swing around the fin angle at rest [rad]."""
 
 LEFT_RAD = 0.1
 """Angle beyond the swing at which it is stopped [rad]."""
@@ -46,11 +46,11 @@ WAY_RAD = 0.3
 """Angle that the fin may turn after a death [rad]; with a longer heartbeat, the swing is slower."""
 
 EARLY_RAD = 0.1
-"""Distance from the middle beyond which the program dies at the beginning of a stroke [rad]; a fin
+"""Distance from the middle beyond which the program dies at the start of a stroke [rad]; a fin
 that does not stop then turns by more than `WAY_RAD`, to the end of the swing."""
 
 MARGIN_S = 0.1
-"""Time for a drive's reaction, in addition to its heartbeat and its braking [s]."""
+"""Time for the reaction of a drive, in addition to its heartbeat and its braking [s]."""
 
 STILL_S = 0.1
 """Time for which the fin must not turn [s], and the tolerance for that [rad]."""
@@ -60,7 +60,7 @@ PROGRAM_STOP_S = 3.0
 """Longest wait for the program to stop its fin [s]."""
 
 SIMULATED_WATCHDOG_S = 2.0
-"""Timeout of softfin's own watchdog while a death is simulated [s]; the drive must be first."""
+"""Timeout of the softfin watchdog while a death is simulated [s]; the drive must react first."""
 
 
 class Swing(NamedTuple):

@@ -47,9 +47,10 @@ class StopProof(Configuration):
     heartbeat_s: float = Field(gt=0)
     """Value of `drive.heartbeat_s` during the test [s]."""
     host_node: int | None = Field(ge=1, le=127)
-    """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
+    """Node number of the softfin heartbeats during the test; None if the bus has no such
+    numbers."""
     faulted_after_s: float = Field(ge=0)
-    """Time from the last heartbeat to the drive's fault [s]."""
+    """Time from the last heartbeat to the drive fault [s]."""
     moving: MovingProof | None = None
     """Result of the same test with the fin in motion; None if it has not been done."""
 

@@ -38,7 +38,7 @@ class SafetyConfig(Configuration):
     velocity_rad_s: PositiveFloat = 10.0
     """Maximum angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
-    """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the drive's profile
+    """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the drive profile
     acceleration must not exceed it."""
     force_peak_n: PositiveFloat = FORCE_PEAK_N
     """Maximum force on any axis at any time [N]. Above the default, the tolerances of the force at
@@ -108,7 +108,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
             return Trip(
                 "not_a_number",
                 f"commanded {name} {value} {unit}: this fin accepts only finite numbers; the "
-                "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
+                "weights or inputs of the controller may be damaged, so evaluate it on a surrogate "
                 "first",
             )
         # The tolerance allows for a controller's rounding errors.
@@ -293,9 +293,9 @@ class Guard:
         if average > margin:
             return Trip(
                 "beyond_training",
-                f"{channel} was outside the surrogate's training range by {average:.2f} of its "
-                f"width for 1 s, but at most {margin:g} is allowed (safety.training_margin); fit "
-                "a surrogate to data with a wider range",
+                f"{channel} was outside the training range of the surrogate by {average:.2f} of "
+                f"its width for 1 s, but at most {margin:g} is allowed (safety.training_margin); "
+                "fit a surrogate to data with a wider range",
             )
         return None
 

@@ -266,7 +266,7 @@ class Session:
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Send a command now; raises SafetyStop if it is outside the fin's limits or the drive
+        """Send a command now; raises SafetyStop if it is outside the fin limits or the drive
         refuses it."""
         trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
@@ -374,7 +374,7 @@ class Session:
             self._watchdog = None
 
     def _stop_silent_loop(self, silence: float) -> None:
-        """Stop the machine; called from the watchdog's thread."""
+        """Stop the machine; called from the watchdog thread."""
         if self.trip is None:
             self.trip = Trip(
                 "watchdog",

@@ -30,7 +30,7 @@ FIRST_WAIT_S = 5.0
 nodes need time to find each other."""
 
 SILENT_S = 1.5
-"""Time without a usable record after which the sensor counts as silent [s]; the loop's limit on the
+"""Time without a usable record after which the sensor counts as silent [s]; the loop limit on the
 force's age is much shorter."""
 
 MEASURED_S = 0.5
@@ -57,7 +57,7 @@ class StreamedSensorConfig(ForceSensorConfig):
     """Records per second; softfin measures the rate when it opens the sensor and rejects a
     deviation of more than 10%."""
     filter_delay_s: float = Field(ge=0, le=0.5)
-    """Delay of the sensor's own filter [s], by which softfin corrects the time of the force; no
+    """Delay of the filter in the sensor [s], by which softfin corrects the time of the force; no
     default, because it depends on the sensor and its settings."""
     cutoff_hz: float = Field(30.0, ge=10, le=40)
     """Cut-off frequency of the anti-alias filter (gain 1/2) [Hz]; not used at 100 records per

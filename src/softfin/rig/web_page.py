@@ -27,8 +27,8 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
         if isinstance(error, TimeoutError):
             reason = f"no response within {PAGE_TIMEOUT_S:g} s"
         raise DeviceError(
-            f"{where}: cannot read the force sensor's page ({reason}); check its power, cable, "
-            "address and http_port"
+            f"{where}: cannot read the web page of the force sensor ({reason}); check its power, "
+            "cable, address and http_port"
         ) from None
     if response.status == http.client.NOT_FOUND:
         return None

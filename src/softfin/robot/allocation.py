@@ -45,7 +45,7 @@ class Allocation(NamedTuple):
     """Forces for the fins, and the resulting wrench."""
 
     forces: FinForces
-    """Mean force of each fin, in the fin's axes [N]."""
+    """Mean force of each fin, in the fin axes [N]."""
     wrench: SixVector
     """Total wrench of these forces, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]

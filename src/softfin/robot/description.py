@@ -1,4 +1,4 @@
-"""The robot's file: fins and allocation. `ucat` is built in. Does not import JAX."""
+"""The robot file: fins and allocation. `ucat` is built in. Does not import JAX."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -33,7 +33,7 @@ class FinMountConfig(Configuration):
     """A fin's mount on the body."""
 
     position_m: Three
-    """Position of the shaft, where the fin's force acts [m]."""
+    """Position of the shaft, where the force of the fin acts [m]."""
     zero_direction: Three
     """Unit vector of the fin's thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
     shaft_axis: Three

@@ -32,10 +32,10 @@ from softfin.tank import Tank, TankState
 from softfin.tank.tank import Load
 
 PART_OF_REACH = 0.7
-"""Fraction of each fin's maximum thrust within which the fin forces of targets are drawn."""
+"""Fraction of the maximum thrust of each fin within which the fin forces of targets are drawn."""
 
 WINDOWS = 10
-"""Number of windows for which each target is held, from rest; the errors are those of the second
+"""Number of windows for which each target is held, from rest; the errors refer to the second
 half."""
 
 ReportPart: TypeAlias = Callable[[float, str], None]
@@ -69,7 +69,7 @@ class ReferenceSeries(NamedTuple):
     """References of all fins for one target wrench, one row per action of the node."""
 
     forces: Float[np.ndarray, "actions fins 2"]
-    """Reference of each fin, in the fin's axes [N]."""
+    """Reference of each fin, in the fin axes [N]."""
     wrench: Float[np.ndarray, "actions 6"]
     """Total wrench of the references, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "actions 6"]

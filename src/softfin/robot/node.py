@@ -59,7 +59,7 @@ class FinTopics:
             transport, self.joint_topic, JOINT_STATE, lambda message: None, stamped=False
         )
         self.last_s: float | None = None
-        """Time of the fin's latest message [s]; None before the first."""
+        """Time of the latest message from the fin [s]; None before the first message."""
 
     def listen(self) -> None:
         """Process received messages; raises DeviceError if none can be received any more."""

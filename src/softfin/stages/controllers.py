@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from softfin.core.action_clock import ActionClock
 
 AUTO = "auto"
-"""Clock for the fin's stroke time."""
+"""Clock for the stroke time of the fin."""
 
 CLOCK = Parameter(metavar="HZ[,S]")
 

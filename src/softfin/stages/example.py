@@ -14,7 +14,7 @@ from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
 
 EXAMPLE = Path(__file__).parents[1] / "example"
-"""The example's folder in the package."""
+"""Folder of the example in the package."""
 
 EXAMPLE_KIND = "example"
 

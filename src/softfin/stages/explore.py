@@ -109,8 +109,8 @@ def _common_clock(controllers: "Mapping[str, LoadedController]") -> ActionClock:
     for path, other in clocks.items():
         if other != clock:
             raise ConfigurationError(
-                f"{path}: its clock ({other}) differs from that of {next(iter(clocks))} ({clock}); "
-                "write a page for each clock"
+                f"{path}: its clock ({other}) differs from the clock of {next(iter(clocks))} "
+                f"({clock}); write a page for each clock"
             )
     return clock
 

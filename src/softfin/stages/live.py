@@ -284,10 +284,10 @@ def log_from_samples(
     gap_s: float = GAP_S,
 ) -> Log:
     """Resample drive and sensor onto a common 100 Hz grid that starts at the first sample, which
-    removes the loop's jitter.
+    removes the loop jitter.
 
     `issued` contains the time [s] and target of each command. The force filter delays its output,
-    so `samples` must extend a little beyond the last row. The log has channels for the motor's
+    so `samples` must extend a little beyond the last row. The log has channels for the motor
     current and supply voltage, if they are measured, and for the rest of the wrench. Raises
     DeviceError if the samples end early or have a gap longer than `gap_s`.
     """
@@ -351,7 +351,7 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
 
 
 def _sensor_state(machine: Machine) -> JsonObject:
-    """Return the serial number of the sensor's calibration, its last zero, and the delay for which
+    """Return the serial number of the sensor calibration, its last zero, and the delay for which
     its force is corrected [s]; None for entries that a machine lacks."""
     # Only a rig owns its sensor; behind ROS 2 the sensor belongs to another program.
     if not isinstance(machine, Rig):
@@ -366,7 +366,7 @@ def _sensor_state(machine: Machine) -> JsonObject:
 
 def _drift_warning(sensor_states: JsonObject, first_name: str, name: str) -> str | None:
     """Return a warning if the rest force before a log differs from that before the first log, in
-    relation to the log's peak force."""
+    relation to the log peak force."""
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
     limit = DRIFT_N * round_size(sensor_states[name]["force_peak_n"] / PAPER_PEAK_N)
@@ -385,7 +385,7 @@ def _write_state(bags: Path, claim: JsonObject, sensor_states: JsonObject) -> No
 
 
 def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> JsonObject:
-    """Return the sensor's state for each finished log; raises ArtifactError if the folder contains
+    """Return the sensor state for each finished log; raises ArtifactError if the folder contains
     other recordings, or finished logs without `resume`."""
     state = bags / STATE
     if not state.exists():

@@ -33,7 +33,7 @@ MOVING = (
     f"{PROVING}; then the fin swings by {SWING_RAD:g} rad to both sides, and softfin is killed or "
     f"suspended {2 * DEATHS} times, so keep a hand on the power switch of the motor"
 )
-ZEROING = "softfin sets the zero at the fin's current angle"
+ZEROING = "softfin sets the zero at the current angle of the fin"
 ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
 ZERO_TEXTS = {
@@ -101,8 +101,8 @@ def _prove(config: RigConfig, moving: bool, arming: Arming) -> Result:
         if moving:
             proof = prove_moving(rig, tell=say)
     text = (
-        f"{rig.name}: its drive stopped by itself {1000 * proof.faulted_after_s:.0f} ms after "
-        "softfin's last heartbeat"
+        f"{rig.name}: its drive stopped by itself {1000 * proof.faulted_after_s:.0f} ms after the "
+        "last heartbeat from softfin"
     )
     if proof.moving is not None:
         text += f"; in motion, {proof.moving.text}"

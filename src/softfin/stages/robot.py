@@ -185,8 +185,8 @@ def simulated_fins(
         tank = find_plant(plant)
         if not isinstance(tank, Tank):
             raise ConfigurationError(
-                f"plant {plant}: only a tank simulates the torque about the shaft of a robot's "
-                "fin; use tank, or the YAML file of a tank"
+                f"plant {plant}: only a tank simulates the torque about the shaft of a robot fin; "
+                "use tank, or the YAML file of a tank"
             )
         check_limits(controller.limits, tank.limits, path, plant)
         fins.append(SimulatedFin(controller, tank))
@@ -194,7 +194,7 @@ def simulated_fins(
 
 
 def _reach_lines(found: JsonObject) -> list[str]:
-    """Return a robot's rank, singular values, and largest forces and moments."""
+    """Return the rank, the singular values, and the largest forces and moments of a robot."""
     singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
     lines = [
         f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",

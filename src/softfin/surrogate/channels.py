@@ -55,9 +55,9 @@ class ChannelScaling(Configuration):
     scale: float = Field(gt=0)
     offset: float
     data_min: float
-    """Minimum of the training data, in the channel's unit."""
+    """Minimum of the training data, in the unit of the channel."""
     data_max: float
-    """Maximum of the training data, in the channel's unit."""
+    """Maximum of the training data, in the unit of the channel."""
 
 
 class Scaling(Configuration):

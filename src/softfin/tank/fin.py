@@ -151,7 +151,7 @@ class Mount(NamedTuple):
     acceleration: PlanarVector
     """Acceleration (x, y) relative to the still water far away [m/s2]."""
     turn: Scalar
-    """Angular velocity about the shaft, with the sign of the shaft's angle [rad/s]."""
+    """Angular velocity about the shaft, with the sign of the shaft angle [rad/s]."""
 
 
 class Shaft(NamedTuple):
@@ -235,8 +235,8 @@ class Fin(eqx.Module):
         )
 
     def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
-        """Return the part of the momenta's rate of change that the mount's motion causes, in the
-        mount's axes [N].
+        """Return the part of the momenta's rate of change that the mount motion causes, in the
+        mount axes [N].
 
         The other part is the change of `momenta` in these axes.
         """
@@ -261,7 +261,7 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, PlanarVector]:
-        """Advance by one time step; also return the shaft's mean rate [rad/s] and the mean force of
+        """Advance by one time step; also return the shaft mean rate [rad/s] and the mean force of
         the loads [N] in the step.
 
         With the mean rates w over a step h, this solves, for the mass matrix M, the resistance R

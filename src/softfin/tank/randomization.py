@@ -42,7 +42,7 @@ class DomainRandomization(Configuration):
     added_mass: float = Field(0.05, ge=0, lt=1)
     """Relative half-width of the added mass [-]."""
     lag: float = Field(0.2, ge=0, lt=1)
-    """Relative half-width of the servo's lag [-]."""
+    """Relative half-width of the servo lag [-]."""
     dead_time: float = Field(0.2, ge=0, lt=1)
     """Relative half-width of the delay from a command to its first effect [-]."""
     drift: float = Field(0.5, ge=0, lt=1)

@@ -64,7 +64,7 @@ class Load(NamedTuple):
     force: PlanarVector
     """Force (x, y) [N]."""
     torque: Scalar
-    """Torque about the shaft, with the sign of the shaft's angle [N m]."""
+    """Torque about the shaft, with the sign of the shaft angle [N m]."""
 
 
 class Tank(eqx.Module):
@@ -76,7 +76,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """Command limits, from the drive's configuration."""
+    """Command limits, from the drive configuration."""
 
     def __init__(self, config: TankConfig | None = None):
         config = config or TankConfig()
@@ -93,7 +93,7 @@ class Tank(eqx.Module):
         return self.sensor.mean_noise(PAPER_WINDOW, EXPERIMENT_S)
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """Return the state of a fin at rest with a zeroed sensor; the key determines the sensor's
+        """Return the state of a fin at rest with a zeroed sensor; the key determines the sensor
         drift and noise."""
         check_key(key)
         drift, noise = jax.random.split(key)

@@ -143,8 +143,8 @@ def read_reference_file(path: Path) -> Recorded:
     )
     if recorded.seconds > MAX_SIGNAL_S:
         raise ConfigurationError(
-            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s, but at most "
-            f"{MAX_SIGNAL_S:g} s are allowed; divide by 1000 if time_s is in milliseconds, or "
+            f"{source}: time_s up to {values[-1, 0]:g} corresponds to {recorded.seconds} s, but at "
+            f"most {MAX_SIGNAL_S:g} s are allowed; divide by 1000 if time_s is in milliseconds, or "
             "shorten the file"
         )
     return recorded

@@ -1,8 +1,8 @@
 """Estimates of a log's time offsets (command to angle, angle to force) and of its force axes.
 
-The angle is the reference clock. A command shows up in the angle's rate after the drive's dead
+The angle is the reference clock. A command shows up in the angle's rate after the drive dead
 time. The force follows the angle's rate and acceleration, delayed by the bending of the fin and the
-sensor's filter.
+sensor filter.
 
 To find the force axes, a model fin is fitted to the force under rotations and reversals of the
 measured axes. Thrust points along (cos theta, -sin theta) and grows with the square of the rate.
@@ -103,13 +103,13 @@ class ForceLag:
     force_lag_ms: float | None = None
     """Best lag within 0.2 s [ms]; None if unknown."""
     force_share: float = 0.0
-    """Share of the force's variance that the motion explains at best within 0.2 s."""
+    """Largest share of the force variance that the motion explains within 0.2 s."""
     far_lag_ms: float = 0.0
     """Best lag beyond 0.2 s [ms]."""
     far_share: float = 0.0
     """Share that the motion explains at that lag."""
     late_force_s: Sequence[float] = ()
-    """Starts of the windows of 6 s in which the force has another lag than in most [s]."""
+    """Starts of the windows of 6 s in which the lag of the force differs from most windows [s]."""
     axis_lags_ms: tuple[float, float] | None = None
     """Lags of the forces along x and y, if they differ [ms]."""
 

@@ -84,8 +84,8 @@ DRIFT_SHARE = 0.7
 plausible."""
 
 MIN_ROUGHNESS = 0.3
-"""Lowest plausible ratio of the force's third to its first differences. Good logs have 0.5 to 2.5,
-logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
+"""Lowest plausible ratio of the third to the first differences of the force. Good logs have 0.5 to
+2.5, logs after a low-pass filter of 2 Hz 0.01 to 0.25."""
 
 FIN_LENGTHS_M = (0.03, 1.0)
 """Lengths of a fin that are plausible from the size of the forces."""
@@ -107,7 +107,7 @@ COUNTS_FIX = (
     "drive, convert the counts in the file: angle = (count - count at angle 0) * 2 * pi / counts "
     "per turn (XL-320 and AX: 300 degrees are 1,023 counts), and the velocities as well"
 )
-"""Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
+"""Fix for raw register values of a drive; the conversion factors are in the drive manual."""
 
 CAUSES = {
     "angle": "the command has a different value",
@@ -269,7 +269,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_saturation(log: CheckedLog) -> Iterator[Issue]:
-    """Find forces that repeatedly stay at their extreme, where the sensor's range ends."""
+    """Find forces that repeatedly stay at their extreme, where the sensor range ends."""
     for channel in ("force_x", "force_y"):
         for sign in (-1, 1):
             values = sign * getattr(log.calm, channel)

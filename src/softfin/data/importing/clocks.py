@@ -87,7 +87,7 @@ class NamedLog(NamedTuple):
     part: Part
     log: Log
     start_s: float = 0.0
-    """Time on the recording's clock when the log's time is 0 [s]."""
+    """Time on the recording's clock when the log time is 0 [s]."""
     units: Mapping[str, str] = MappingProxyType({})
     """Units of the channels in the file, unless they are SI units."""
 
@@ -359,8 +359,8 @@ def _split_at_gaps(
             channels = "/".join(track.channels)
             times.append(f"{channels} {track.time[0]:.2f} .. {track.time[-1]:.2f} s")
         raise LogError(
-            f"{name}: the channels have no time in common: {'; '.join(times)}; stamp all channels "
-            "with one clock"
+            f"{name}: the channels have no time in common: {'; '.join(times)}; timestamp all "
+            "channels with the same clock"
         )
     gaps = _find_gaps(reading, (begin, end), config)
     if not gaps:

@@ -188,7 +188,7 @@ def _missing_error(
 
 
 def _preferred_velocities(names: list[str]) -> list[str]:
-    """Prefer profile velocities; a goal velocity next to a profile velocity is for the drive's
+    """Prefer profile velocities; a goal velocity next to a profile velocity is for the drive
     velocity mode."""
     profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
     return profiles or names

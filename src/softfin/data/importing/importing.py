@@ -40,8 +40,7 @@ class ImportConfig(Configuration):
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin`` for one of several joints (default:
     command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench, current=/fin/current)."""
     stamps: Literal["header", "logging"] = "header"
-    """Times of the messages in a bag: from their headers, or from logging if the headers are
-    wrong."""
+    """Times of messages in a bag: from their headers, or from logging if these are wrong."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)

@@ -104,8 +104,8 @@ SPELLINGS = {
     "A": "a amp amps ampere amperes",
     "mA": "ma milliamp milliamps milliampere milliamperes",
 }
-"""Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
-angle, a slash and those of a second."""
+"""Spellings of each unit in lower case. Spellings of velocity units are generated from the
+spellings of an angle unit, a slash and the spellings of a second."""
 
 COMMAND_WORDS = {
     "command",

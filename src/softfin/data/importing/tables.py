@@ -39,7 +39,7 @@ MISSING = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
 """What stands for a missing number."""
 
 GROUPED = r"^[-+]?[1-9]\d{0,2}(?:,\d{3})+$"
-"""A whole number with separators of thousands, unless these are decimal commas."""
+"""An integer with thousands separators, unless these are decimal commas."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:

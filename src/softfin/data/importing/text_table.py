@@ -24,7 +24,7 @@ DELIMITERS = (",", ";", "\t", "|", " ")
 DECIMAL = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
 
 HEAD_BYTES = 100_000
-"""Size of the beginning of a file in which the header is looked for."""
+"""Size of the beginning of a file that is searched for the header."""
 
 MIN_COLUMNS = 4
 """Minimum width of a header: a log without times has command, angle and force (x, y)."""

@@ -77,7 +77,7 @@ class DriveTraits(NamedTuple):
     read_only: frozenset[Object] = frozenset()
     """Objects that cannot be written, in addition to those that are read-only by definition."""
     ignores_heartbeat: bool = False
-    """Whether the motor keeps running when the host's heartbeats end, regardless of the
+    """Whether the motor keeps running when the heartbeats of the host end, regardless of the
     settings."""
     needs_reset_of_communication: bool = False
     """Whether a communication fault can be reset only after an NMT reset communication, as in an
@@ -146,7 +146,7 @@ class EmulatedDrive:
             bus.shutdown()
 
     def address(self) -> JsonObject:
-        """Return nothing: the drive is on the rig's bus, under the number in its configuration."""
+        """Return nothing: the drive is on the rig bus, under the number in its configuration."""
         return {}
 
     def remembered(self) -> JsonObject:

@@ -15,7 +15,7 @@ NEW_TARGET_BIT = 1 << 4
 RELATIVE_BIT = 1 << 6
 """Controlword bits."""
 POSITION_LIMIT = 0xFF09
-"""Emergency code: the target is outside the drive's limits."""
+"""Emergency code: the target is outside the drive limits."""
 
 BY_ITSELF = {
     State.START: State.NOT_READY,

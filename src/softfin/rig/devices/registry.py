@@ -19,7 +19,7 @@ DEVICES = {
     "axia80": "softfin.rig.devices.axia80.sensor:AXIA80",
     "lines": "softfin.rig.devices.lines.sensor:LINES",
 }
-"""softfin's own devices; their modules are imported when they are used."""
+"""Built-in devices; their modules are imported when they are used."""
 
 Kind = TypeVar("Kind", DriveType[Any], ForceSensorType[Any])
 

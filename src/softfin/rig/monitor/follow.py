@@ -58,7 +58,7 @@ ROLES = {
 """Topic for each role on the page."""
 
 Row: TypeAlias = tuple[Any, ...]
-"""Time since the recording's first message [s], and the values of a message."""
+"""Time since the first message of the recording [s], and the values of a message."""
 
 
 class Trace:
@@ -70,7 +70,7 @@ class Trace:
         self.missing = 0
         """Number of rows missing at 100 Hz."""
         self.time_s = 0.0
-        """Time of the latest message since the recording's first one [s]."""
+        """Time of the latest message since the first message of the recording [s]."""
         self._kept: deque[tuple[int, float, bytes]] = deque(maxlen=KEPT_ROWS)
 
     def add(self, serial: int, time_s: float, data: bytes) -> None:

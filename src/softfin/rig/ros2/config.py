@@ -95,7 +95,7 @@ class NodeConfig(Configuration):
     @classmethod
     def of_fin(cls, name: str) -> "NodeConfig":
         """Return the defaults for one fin of a robot: topics under the fin's name, and a stop if
-        the robot's node is lost."""
+        the robot node is lost."""
         if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
             raise ConfigurationError(
                 f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, e.g. "
@@ -144,7 +144,7 @@ class FlipperConfig(Configuration):
     amplitude: str = "amplitude"
     """Field set to 0, so that the flipper does not oscillate by itself."""
     constants: dict[str, float | bool | str] = Field(default_factory=dict)
-    """Values of other fields that must not be 0 or empty, e.g. a frequency or the flipper's
+    """Values of other fields that must not be 0 or empty, e.g. a frequency or the flipper
     number."""
     rate_hz: float = Field(default=20.0, gt=0, le=100)
     """Message rate [Hz]."""
@@ -154,16 +154,16 @@ class Ros2PlantConfig(Configuration):
     """Topics of the fin; fields that depend on the robot have no default."""
 
     joint_topic: TopicName
-    """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
+    """sensor_msgs/JointState with the shaft angle, at 100 Hz or more."""
     joint_name: str = Field(min_length=1)
-    """Name of the fin's joint in the messages."""
+    """Name of the fin joint in the messages."""
     wrench_topic: TopicName
     """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, with anti-alias
     filtering for 100 Hz in its driver."""
     frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
     """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``."""
     command_topic: TopicName
-    """sensor_msgs/JointState with position and velocity, or the flipper's message."""
+    """sensor_msgs/JointState with position and velocity, or the flipper message."""
     flipper: FlipperConfig | None = None
     """Configuration for robots of the U-CAT family, with commands as flipper messages."""
     negate_angle: bool = False
@@ -176,7 +176,7 @@ class Ros2PlantConfig(Configuration):
     commands the fin to hold its angle."""
     stop_release: bool = False
     """Whether to send false on the stop topic when the fin is enabled; use only if that cannot
-    cancel another program's stop."""
+    cancel a stop by another program."""
     driver_delay_s: float = Field(default=0.15, ge=0, le=1)
     """Time by which the fin may lag behind its commands [s]: the driver's delay plus its ramps
     (twice the velocity divided by the acceleration). Only a longer lag counts as a following

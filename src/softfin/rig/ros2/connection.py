@@ -30,7 +30,8 @@ Value = TypeVar("Value")
 BOOL = "std_msgs/msg/Bool"
 
 DEPTH = 10
-"""Default length of a reader's queue, which keeps the latest messages; ROS 2's default."""
+"""Default length of a reader queue, which keeps the latest messages; this is the default of ROS
+2."""
 
 CREEP = 2e-4
 """Rate at which the smallest delay is relaxed [s/s]: four times the drift of an ordinary quartz

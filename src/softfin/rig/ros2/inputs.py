@@ -10,7 +10,7 @@ from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 InputValue = TypeVar("InputValue")
 
 MAX_REMARKS = 20
-"""Maximum number of different notes to report; further ones are dropped."""
+"""Maximum number of different notes to report; additional notes are dropped."""
 
 
 class OnceReporter:

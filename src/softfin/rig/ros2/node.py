@@ -1,7 +1,7 @@
 """softfin as a ROS 2 node: publishes every sample and command, and receives references and the
 emergency stop.
 
-Called from the loop's thread; nothing here waits or moves the fin.
+Called from the loop thread; nothing here waits or moves the fin.
 """
 
 import functools

@@ -187,7 +187,7 @@ class Ros2Machine:
     The driver determines how a stop works. `stop` commands the fin to hold its last measured angle,
     so that the driver brakes it. With a `stop_topic`, it also sends `true` on that topic. Both are
     repeated until the fin is at rest. The motor may stay on. A driver that ignores the messages
-    does not stop, which is reported. Keep a switch for the motor's supply within reach.
+    does not stop, which is reported. Keep a switch for the motor supply within reach.
     """
 
     name = "ros2"

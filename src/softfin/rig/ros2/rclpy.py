@@ -21,7 +21,8 @@ class RclpyTransport:
     """Transport over rclpy, with its own context, node and receiver thread."""
 
     notes: tuple[str, ...] = (
-        "rclpy's discovery range is set by ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE",
+        "the discovery range of rclpy is set by ROS_LOCALHOST_ONLY and "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE",
     )
 
     def __init__(self, config: TransportConfig) -> None:

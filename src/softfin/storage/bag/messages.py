@@ -29,7 +29,7 @@ CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
 CHANNEL_TOPICS = "/fin/channels/"
-"""Start of the topics of a log's other channels; the rest is the channel's name."""
+"""Start of the topics of other channels in a log; the rest is the channel name."""
 
 VOLTAGE = CHANNEL_TOPICS + VOLTAGE_CHANNEL
 

@@ -113,7 +113,7 @@ class BagRecorder:
         current: float | None,
         voltage: float | None = None,
     ) -> None:
-        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] and
+        """Record the shaft angle and velocity [rad, rad/s], and the motor current [A] and
         supply voltage [V] if they are measured."""
         self._hand_in(JOINT, time, (angle, velocity))
         if current is not None:

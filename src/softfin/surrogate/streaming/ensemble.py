@@ -211,7 +211,7 @@ class Interval(Configuration):
     """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, enlarged to allow for
     their small number [-]."""
     floor_n: float = Field(gt=0)
-    """Root mean square error of the ensemble's mean on the held-out logs [N]. It contains noise,
+    """Root mean square error of the ensemble mean on the held-out logs [N]. It contains noise,
     drift, and the error that all members have in common."""
     windows: int = Field(ge=1)
     """Number of mean forces used for the calibration, over both axes."""

@@ -108,7 +108,7 @@ class StreamingConfig(SurrogateConfig):
 class _MemberState(NamedTuple):
     number: int
     motion: Motion
-    """Motion predicted by the member's drive network."""
+    """Motion predicted by the drive network of the member."""
     nets: PyTree
     optimiser: PyTree
     loss: np.floating
@@ -276,7 +276,7 @@ def fit_streaming(
         states, done = resumed
     else:
         if progress is not None:
-            progress("fit", 0.0, "identifying the drive's profile from the logs")
+            progress("fit", 0.0, "identifying the drive profile from the logs")
         identified, _ = identify(training, seed)
         # All members share the profile.
         profile = jax.tree.map(lambda x: jnp.full((config.members, *x.shape), x), identified)

@@ -226,14 +226,14 @@ class ForceNet(eqx.Module):
     across: Float[Array, "wake_source wake"]
     """Weights from the odd memory to the component of the wake across the fin."""
     log_time: Float[Array, "wake"]
-    """Natural logarithm of the wake's time constants in seconds."""
+    """Natural logarithm of the wake time constants in seconds."""
     thrust: Float[Array, "2"]
     """Coefficients of the force along the fin: velocity squared, and velocity times its change."""
     resistance: Float[Array, "3"]
     """Coefficients of the force across the fin: change of velocity (added mass), velocity times
     speed (drag), and velocity (friction)."""
     mount_turn: Float[Array, ""]
-    """Angle of the sensor relative to the tank's axes [rad]."""
+    """Angle of the sensor relative to the tank axes [rad]."""
     offset: Float[Array, "2"]
     """Reading of the sensor at zero force, divided by the force scale [-]."""
     config: ForceNetConfig = eqx.field(static=True)

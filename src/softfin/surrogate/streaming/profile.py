@@ -59,7 +59,7 @@ class Profile(eqx.Module):
     delay: Float[Array, ""] = _coefficient(0.0)
     """Delay from a command to its first effect, at most `MAX_DELAY` [10 ms]."""
     velocity_factor: Float[Array, ""] = _coefficient(1.0)
-    """Ratio of the profile's velocity to the commanded velocity [-]."""
+    """Ratio of the profile velocity to the commanded velocity [-]."""
     velocity_limit: Float[Array, ""] = _coefficient(100.0)
     """Maximum velocity of the profile [rad/s]."""
     acceleration: Float[Array, ""] = _coefficient(100.0)

@@ -33,7 +33,7 @@ class Scales(Configuration):
     logs."""
 
     velocity_rad_s: float = Field(gt=0)
-    """Standard deviation of the shaft's velocity [rad/s]."""
+    """Standard deviation of the shaft velocity [rad/s]."""
     change_rad_s: float = Field(gt=0)
     """Standard deviation of the tick-to-tick change in velocity [rad/s]."""
     force_n: float = Field(gt=0)

@@ -56,7 +56,7 @@ FREE: dict[str, CalibrationRange] = {
 """Ranges of the parameters that are fitted by default.
 
 Span and root thickness are excluded, because they can be measured with a ruler and no log can
-separate them from Young's modulus, drag and added mass. The sensor's misalignment is excluded,
+separate them from Young's modulus, drag and added mass. The sensor misalignment is excluded,
 because it cannot be separated from the two shaft-angle offsets.
 """
 

@@ -16,7 +16,7 @@ class Axia80Config(StreamedSensorConfig):
     address: str = pydantic.Field(min_length=1)
     """IP address or host name of the sensor; the factory setting is 192.168.1.1."""
     http_port: int = pydantic.Field(default=80, ge=1, le=65535)
-    """TCP port of the sensor's web pages, from which units and scale are read."""
+    """TCP port of the sensor web pages, from which units and scale are read."""
     rdt_port: int = pydantic.Field(default=49152, ge=1, le=65535)
     """UDP port of the sensor stream."""
     rate_hz: float = pydantic.Field(default=1000.0, ge=200, le=8000)

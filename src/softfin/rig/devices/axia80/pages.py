@@ -56,7 +56,7 @@ def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:
 
 
 class SensorSettings(Configuration):
-    """Product, scale and serial number as reported on the sensor's pages."""
+    """Product, scale and serial number as reported on the sensor pages."""
 
     prodname: str
     calsn: str | None = None
@@ -103,7 +103,7 @@ def parse_settings(page: bytes, calibration: bytes | None, source: str) -> Senso
         return SensorSettings.build(found, source)
     except ConfigurationError as error:
         raise RigError(
-            f"{error}; correct it on the sensor's configuration page, or check the address"
+            f"{error}; correct it on the configuration page of the sensor, or check the address"
         ) from None
 
 

@@ -131,6 +131,6 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     # A busy sensor sets the summary bit as well, as in `BUSY`.
     is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
     if numbers - set(STATUS_BITS) or (summary and not is_explained):
-        remedy = "check the sensor's web page, and switch the sensor off and on"
+        remedy = "check the web page of the sensor, and switch the sensor off and on"
         bits.append(StatusBit(f"status 0x{status:08X} has unspecified bits", summary, remedy))
     return tuple(bits)

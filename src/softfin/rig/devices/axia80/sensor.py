@@ -1,6 +1,6 @@
 """The ATI Axia80 force/torque sensor: its UDP stream as records for a `StreamedSensor`.
 
-Scale and units come from the sensor's web pages; the stream uses RDT (ATI manual 9610-05-Ethernet
+Scale and units come from the sensor web pages; the stream uses RDT (ATI manual 9610-05-Ethernet
 Axia). Tested with the emulator, which a third-party client can also read, but not with a real
 sensor.
 """
@@ -25,11 +25,11 @@ OLD_S = 0.5
 """Age at which a record is discarded [s]: it is too old to affect a usable force."""
 
 LATE_RECORDS = 64
-"""Maximum number of records by which a record may be late; beyond that, it belongs to another
+"""Maximum number of records by which a record may be late; beyond that, it belongs to a different
 stream."""
 
 REORDERED_SAMPLES = 4096
-"""Number of samples by which the sensor's counter may go back without a restart: half a second at
+"""Number of samples by which the sensor counter may go back without a restart: half a second at
 8 kHz."""
 
 MAX_GAP = 1 << 24
@@ -75,7 +75,7 @@ class RdtSource(RecordSource):
         """Time of the latest request or record [s]."""
 
     def open(self) -> None:
-        """Read the sensor's pages and request its stream; raises RigError if the sensor does not
+        """Read the sensor pages and request its stream; raises RigError if the sensor does not
         match the rig file and DeviceError if it does not respond."""
         config = self.config
         clock = self.clock
@@ -153,7 +153,7 @@ class RdtSource(RecordSource):
         return lines
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on the sensor's status that do not stop the fin, e.g. that its forces are
+        """Return notes on the sensor status that do not stop the fin, e.g. that its forces are
         simulated."""
         return tuple(str(bit) for bit in decode_status(self.status) if not bit.is_error)
 

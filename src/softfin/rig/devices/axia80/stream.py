@@ -16,12 +16,12 @@ from softfin.rig.devices.axia80.rdt import (
 )
 
 BUFFER_BYTES = 4 * 1024 * 1024
-"""Requested size of the kernel's receive buffer: seconds of the stream, in case the process is
+"""Requested size of the kernel receive buffer: seconds of the stream, in case the process is
 delayed. Linux grants at most twice `net.core.rmem_max`, 0.5 s of the stream by default."""
 
 MAX_DATAGRAMS = 1000
 """Maximum number of datagrams per call to `drain`. After a pause, 5,000 or more may be waiting;
-processing them all would take several ticks and trip the loop's overrun limit. At 8 kHz, 80 arrive
+processing them all would take several ticks and trip the loop overrun limit. At 8 kHz, 80 arrive
 per tick, so a backlog still shrinks."""
 
 UNREAD_S = 0.03
@@ -39,7 +39,7 @@ OFFSET_TRIES = 10
 # ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
-"""The kernel's timestamp: seconds and nanoseconds of the wall clock."""
+"""Kernel timestamp: seconds and nanoseconds of the wall clock."""
 
 
 class Arrival(NamedTuple):
@@ -51,7 +51,7 @@ class Arrival(NamedTuple):
 
 class RdtClient:
     """Non-blocking UDP client; its socket is connected, so that the kernel delivers only datagrams
-    from the sensor's port."""
+    from the sensor port."""
 
     def __init__(self, host: str, port: int, clock: Computer) -> None:
         self.refused = 0

@@ -124,7 +124,7 @@ class Units(NamedTuple):
 
 
 def position_range(config: DynamixelConfig, margin_rad: float = 0.0) -> tuple[int, int]:
-    """Return the lowest and highest position of the fin's range, widened by a margin [rad]."""
+    """Return the lowest and highest position of the fin range, widened by a margin [rad]."""
     units = Units.of(config)
     ends = sorted(
         (

@@ -185,7 +185,7 @@ class Dynamixel:
         )
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]."""
+        """Return the shaft angle now [rad]."""
         self._poll(0.02)
         return self.units.angle(self._known_status().position)
 
@@ -232,7 +232,7 @@ class Dynamixel:
             self._trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def zero(self) -> None:
-        """Make the present angle the fin's zero, by the servo's homing offset; the motor stays
+        """Make the present angle the fin's zero, by the servo homing offset; the motor stays
         off."""
         status = self._new_status()
         before = self.link.read(protocol.HOMING_OFFSET)
@@ -689,7 +689,7 @@ class Dynamixel:
         return self._braking(position, 0 if position in ends else status.velocity)
 
     def _braking(self, position: int, velocity: int) -> bytes:
-        """Return the motion command that ends at the servo's stopping position."""
+        """Return the motion command that ends at the servo stopping position."""
         config = self.config
         velocity_rad_s = self.units.velocity(velocity)
         # Braking distance: v^2 / (2 a).

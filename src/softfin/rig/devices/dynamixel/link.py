@@ -27,7 +27,8 @@ READ_STEP_S = 0.002
 
 WRITE_TIMEOUT_S = 0.05
 LINK_TIMEOUT_S = 0.15
-"""Longest wait for another thread's instruction [s]: a thread that hangs must not block a stop."""
+"""Longest wait for an instruction from another thread [s]: a thread that hangs must not block a
+stop."""
 
 SETUP_ANSWER_S = 0.1
 """Longest wait for an answer outside the loop [s]; a write to the EEPROM takes longer."""

@@ -35,7 +35,7 @@ class Instruction(IntEnum):
 
 
 ALERT = 0x80
-"""Bit of a status packet's error byte: the hardware error status is not zero."""
+"""Bit of the error byte in a status packet: the hardware error status is not zero."""
 
 
 class Refusal(IntEnum):

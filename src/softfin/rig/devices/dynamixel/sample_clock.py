@@ -9,7 +9,7 @@ DRIFT = 0.02
 """Largest assumed difference between the rates of the two clocks."""
 
 FORGOTTEN_S = 5.0
-"""Time after which the estimate starts again [s]; the servo's clock restarts every 33 s."""
+"""Time after which the estimate starts again [s]; the servo clock restarts every 33 s."""
 
 
 class SampleClock:
@@ -24,7 +24,7 @@ class SampleClock:
         makes the estimate forget the oldest one."""
 
     def is_late(self, sent: float, tick: int) -> bool:
-        """Return whether a sample with the servo's time `tick` [ms] is older than the request that
+        """Return whether a sample with the servo time `tick` [ms] is older than the request that
         was sent at `sent` [s]."""
         if self._sent is None or sent - self._sent > FORGOTTEN_S:
             lead = 0.0

@@ -1,4 +1,4 @@
-"""Configuration of the drive, and conversion to the drive's units: counts, rpm and rpm/s of the
+"""Configuration of the drive, and conversion to the drive units: counts, rpm and rpm/s of the
 motor."""
 
 import math
@@ -25,12 +25,12 @@ class Epos2Config(DriveConfig):
     gear_ratio: float = Field(gt=0)
     """Motor revolutions per revolution of the fin shaft; 1 without a gearbox."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
     following_error_rad: float = Field(gt=0, le=1)
     """Following error at which the drive faults [rad]; no default. If it is too large, a blocked
     fin burns out its motor."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
-    """Maximum motor current, written to the drive [A]; None keeps the drive's setting."""
+    """Maximum motor current, written to the drive [A]; None keeps the drive setting."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Heartbeat timeout of both the drive and the host [s]: if the host hangs, the drive stops
     after this time."""
@@ -78,7 +78,7 @@ class Units(NamedTuple):
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Fin angle at which the drive's position is zero [rad]."""
+    """Fin angle at which the drive position is zero [rad]."""
 
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":

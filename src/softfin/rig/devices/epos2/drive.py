@@ -21,7 +21,7 @@ from softfin.rig.machine import Target
 from softfin.rig.safety import accept_target
 
 ANSWER_S = 0.006
-"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
+"""Longest wait for the drive answers per tick [s]; they take 1 ms on a real bus, and longer on a
 busy computer."""
 
 BEAT_TICKS = 4
@@ -113,11 +113,11 @@ class Epos2(Exchange):
         )
 
     def read_angle(self) -> float:
-        """Return the shaft's angle now [rad]."""
+        """Return the shaft angle now [rad]."""
         return self.sync_and_read(0.02).angle
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its description; None if there was none. Raises
+        """Acknowledge the drive fault and return its description; None if there was none. Raises
         DeviceError if the fault persists.
 
         The motor stays off. The drive must be reopened before it can be enabled.
@@ -203,7 +203,7 @@ class Epos2(Exchange):
 
     @property
     def where(self) -> str:
-        """The drive's bus, and its number there."""
+        """The drive bus, and its number there."""
         return f"{self.bus.interface} {self.bus.channel}, node {self.config.node}"
 
     @property
@@ -218,7 +218,7 @@ class Epos2(Exchange):
         yield from (CheckResult("drive setup", "note", note) for note in self.notes)
 
     def current_limits(self) -> CurrentLimits:
-        """Return the open drive's limits for the motor's current."""
+        """Return the open drive's limits for the motor current."""
         limits_a: list[float | None] = []
         for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT):
             limit_ma = procedures.read_optional(self.connection, entry)
@@ -251,8 +251,8 @@ class Epos2(Exchange):
         angle = self._new_reading().angle
         if self.config.zero_needed and not self.referenced:
             raise RigError(
-                "fin has not been zeroed since the drive's power-up; turn the fin to zero and run: "
-                "softfin rig zero --arm"
+                "fin has not been zeroed since the drive was powered up; turn the fin to zero and "
+                "run: softfin rig zero --arm"
             )
         check_fin_angle(angle, self.config)
         # After a failed homing, the drive may still be in homing mode, in which a new target would
@@ -261,7 +261,7 @@ class Epos2(Exchange):
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def zero(self) -> None:
-        """Make the current position the drive's zero (homing method 35); the motor is powered, but
+        """Make the current position the drive zero (homing method 35); the motor is powered, but
         nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)

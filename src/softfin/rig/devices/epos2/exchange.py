@@ -35,7 +35,7 @@ _SIZES |= {pdo: each.size for pdo, each in zip(protocol.TPDO, _SENT, strict=True
 ALL = (1 << len(_SENT)) - 1
 
 Setpoint: TypeAlias = tuple[int, int]
-"""A target in the drive's units: position [counts] and velocity [rpm]."""
+"""A target in the drive units: position [counts] and velocity [rpm]."""
 
 
 class DriveStatus:
@@ -48,7 +48,7 @@ class DriveStatus:
         self.position = 0
         """Position [counts]."""
         self.angle = self.demand = units.angle(0)
-        """Fin angle and the drive's demanded angle [rad]."""
+        """Fin angle and the drive demanded angle [rad]."""
         self.velocity = 0.0
         """Fin angular velocity [rad/s]."""
         self.current = 0.0
@@ -88,7 +88,7 @@ class DriveStatus:
         return bool((self.statusword or 0) & bit)
 
     def fault(self) -> str | None:
-        """Return the drive's fault according to its emergency message, boot-up message or
+        """Return the drive fault according to its emergency message, boot-up message or
         statusword."""
         if self.emergency is not None:
             return protocol.fault_line(self.emergency)
@@ -271,7 +271,7 @@ class Exchange:
         self.foreign_ids: frozenset[int] = frozenset()
         """COB-IDs of the frames received before we sent anything."""
         self.notes: tuple[str, ...] = ()
-        """Notes on the drive's setup since it was opened, one line each."""
+        """Notes on the drive setup since it was opened, one line each."""
         self.sync_id = protocol.SYNC
         """COB-ID of the SYNC that the drive responds to."""
         self.trouble: str | None = None
@@ -296,7 +296,7 @@ class Exchange:
 
     @property
     def is_off(self) -> bool:
-        """Whether the drive's answer to the last SYNC reports that its motor is off."""
+        """Whether the drive answer to the last SYNC reports that its motor is off."""
         return bool(self.status.answered & 1) and self.status.state in protocol.UNPOWERED
 
     @property
@@ -393,7 +393,7 @@ class Exchange:
             # moving if this program died. That program may have been silent while we listened, e.g.
             # waiting for user input.
             self._report(
-                f"another program on {self.connection.name} uses this program's node number "
+                f"another program on {self.connection.name} uses the node number of this program, "
                 f"{self.config.host}; close it, or set a different drive.host_node in each rig file"
             )
         with self.lock:

@@ -53,9 +53,9 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
-            f"{connection.name}: this program's node number {config.host} is in use by another "
-            "program or device; set a different drive.host_node in each rig file, or close the "
-            "other program"
+            f"{connection.name}: the node number of this program, {config.host}, is in use by "
+            "another program or device; set a different drive.host_node in each rig file, or close "
+            "the other program"
         )
     if foreign_ids & {
         protocol.SDO_REQUEST + config.node,
@@ -81,7 +81,7 @@ def identify_drive(connection: CanConnection) -> None:
 
 
 def read_fault(connection: CanConnection) -> str | None:
-    """Read the drive's fault over SDO; None if it is not in fault."""
+    """Read the drive fault over SDO; None if it is not in fault."""
     if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
     code = newest_error(connection)
@@ -89,7 +89,7 @@ def read_fault(connection: CanConnection) -> str | None:
 
 
 def newest_error(connection: CanConnection) -> int:
-    """Read the newest error code in the drive's error history; 0 if the history is empty."""
+    """Read the newest error code in the drive error history; 0 if the history is empty."""
     if connection.read(protocol.ERROR_COUNT) == 0:
         return 0
     return connection.read(protocol.NEWEST_ERROR) & 0xFFFF
@@ -178,8 +178,8 @@ def set_sync(connection: CanConnection, config: Epos2Config) -> int:
         held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF
     if held not in (wanted, protocol.SYNC):
         raise RigError(
-            f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, and switch "
-            "the drive off and on"
+            f"drive setting {protocol.SYNC_ID} remained 0x{held:03X}; close other programs, and "
+            "switch the drive off and on"
         )
     return held
 
@@ -242,7 +242,7 @@ def write(
     held = connection.read(shown or entry)
     if (held ^ value) & mask:
         raise RigError(
-            f"drive's {shown or entry} remained {held} after {value} was written; close EPOS "
+            f"drive setting {shown or entry} remained {held} after {value} was written; close EPOS "
             "Studio and other programs, or use a value in the rig file that the drive accepts"
         )
 

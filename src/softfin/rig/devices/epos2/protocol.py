@@ -30,7 +30,7 @@ SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
 """COB-IDs, to which the node number is added, except for NMT and the shared SYNC.
 
-A host's own SYNC is 0x080 plus its node number. This is the emergency COB-ID of that node, which
+The SYNC of a host is 0x080 plus its node number. This is the emergency COB-ID of that node, which
 the host never uses.
 """
 TPDO = (0x180, 0x280, 0x380)
@@ -43,7 +43,7 @@ HOME_HERE = 35
 
 
 class Object(NamedTuple):
-    """One entry of the drive's object dictionary."""
+    """One entry of the drive object dictionary."""
 
     number: int
     """Index in the dictionary, not named `index` because tuples have a method of that name."""
@@ -127,7 +127,7 @@ ON_SYNC = 1
 AT_ONCE = 255
 """Transmission types of process data."""
 INVALID = 1 << 31
-"""Bit in a PDO's COB-ID that disables the PDO."""
+"""Bit in the COB-ID of a PDO that disables the PDO."""
 
 
 def host_cob_ids(host: int) -> frozenset[int]:
@@ -227,7 +227,7 @@ FAULTS = {
     0x1000: ("generic error", "switch the drive off and on"),
     0x2310: ("over-current", "check for a short circuit or a blocked fin; lower the acceleration"),
     0x3210: ("over-voltage", "check the supply; brake more gently, or add a brake resistor"),
-    0x3220: ("under-voltage", "check the supply: its voltage fell below the drive's minimum"),
+    0x3220: ("under-voltage", "check the supply: its voltage fell below the minimum of the drive"),
     0x4210: ("over-temperature", "let the drive cool down; move less or more slowly"),
     0x5113: ("+5 V supply too low", "check for a short circuit in the encoder cable"),
     0x5114: ("supply of the output stage too low", "check the supply and its fuse"),
@@ -264,7 +264,7 @@ FAULTS = {
         "check for a blocked fin; reduce velocity or acceleration, or tune the drive",
     ),
     0xFF01: ("hall sensor error", "check the hall sensor cable"),
-    0xFF02: ("index processing error", "check the encoder's index channel"),
+    0xFF02: ("index processing error", "check the index channel of the encoder"),
     0xFF03: (
         "encoder resolution error",
         "set the encoder lines in the drive to match the encoder",
@@ -322,7 +322,7 @@ ABORTS = {
     0x06090036: "maximum below minimum",
     0x08000000: "general error",
     0x08000020: "value cannot be stored",
-    0x08000022: "not allowed in the drive's current state",
+    0x08000022: "not allowed in the current state of the drive",
     0x0F00FFC0: "wrong NMT state",
     0x0F00FFBF: "illegal command",
     0x0F00FFBE: "wrong password",

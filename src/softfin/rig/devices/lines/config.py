@@ -32,9 +32,9 @@ class LinesConfig(StreamedSensorConfig):
     type: Literal["lines"] = "lines"
     """Lines of text."""
     columns: tuple[Column, ...] = Field(min_length=2, max_length=64)
-    """Meaning of each column, e.g. ``[count, force_x, force_y]``: force and torque in the sensor's
+    """Meaning of each column, e.g. ``[count, force_x, force_y]``: force and torque in the sensor
     axes, a counter of lines or a time since power-up (as unsigned 32-bit integer, so that losses
-    and restarts are noticed), or ``skip``."""
+    and restarts are detected), or ``skip``."""
     port: str | None = None
     """Serial port, e.g. /dev/ttyACM0."""
     baud: int = Field(115_200, ge=1200, le=4_000_000)

@@ -15,7 +15,7 @@ REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
 
 MAX_LAG_S = 0.05
-"""Increase of the delay between sensor and computer that counts as a fault [s]; the loop's limit on
+"""Increase of the delay between sensor and computer that counts as a fault [s]; the loop limit on
 the age of a force does not detect it."""
 
 LAGGING_S = 0.5
