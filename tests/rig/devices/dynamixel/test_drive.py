@@ -518,7 +518,7 @@ def test_a_target_that_is_lost_is_repeated_and_one_that_is_never_taken_is_told(m
         lost[0] = 100
         made.drive.command(Target(-0.5, 1.0))
         made.loop(0.05)
-        assert "did not take a target" in made.drive.complaints()[0]
+        assert "did not accept a target" in made.drive.complaints()[0]
 
 
 def test_a_target_that_the_servo_refuses_is_told():
@@ -667,7 +667,7 @@ def test_a_servo_that_is_powered_is_refused_and_switched_off():
         made.drive.command(Target(1.5, math.pi))
         made.loop(0.1)
         other = Dynamixel(made.drive.config, made.clock)
-        with pytest.raises(RigError, match="already powered; end the program"):
+        with pytest.raises(RigError, match="already powered; close the program"):
             other.open()
         angle = made.fin.now().angle
         other.switch_off()
