@@ -237,7 +237,7 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
         if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
             raise PlantError(
                 f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
-                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
+                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train the controller in a "
                 "surrogate of this plant"
             )
 

@@ -108,8 +108,8 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
             return Trip(
                 "not_a_number",
                 f"commanded {name} {value} {unit}: this fin accepts only finite numbers; the "
-                "weights or inputs of the controller may be damaged, so evaluate it on a surrogate "
-                "first",
+                "weights or inputs of the controller may be damaged, so evaluate the controller on "
+                "a surrogate first",
             )
         # The tolerance allows for a controller's rounding errors.
         if not low - 1e-3 <= value <= high + 1e-3:
@@ -197,8 +197,8 @@ class Guard:
             return Trip(
                 "angle",
                 f"the shaft is at {sample.angle:.3f} rad, outside {low:.3f} to {high:.3f} rad; "
-                "turn it back, or if its zero is wrong, turn it to zero and run: "
-                "softfin rig zero --arm",
+                "turn the shaft back, or if its zero is wrong, turn it to zero and run: softfin "
+                "rig zero --arm",
             )
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip(

@@ -150,7 +150,7 @@ def recover_recording(
     if not recovery.damages:
         return Result(
             {"recovered": None, **recovery.to_dict()},
-            f"{recording}: not damaged; use it as it is, no file was written",
+            f"{recording}: not damaged; use the recording as it is, because no file was written",
         )
     messages = counted(sum(recovery.messages.values()), "message")
     reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)

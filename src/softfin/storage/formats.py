@@ -43,7 +43,7 @@ def check_format(
     if number != expected:
         raise error(
             f"{source}: format is {str(number)[:80]!r}, but this version of softfin reads "
-            f"{expected}; use the version that wrote it, or write it again"
+            f"{expected}; use the version that wrote the file, or create the file again"
         )
 
 

@@ -337,7 +337,7 @@ class Ros2Machine:
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(
                 f"the fin is at {angle:.3f} rad, outside {limits.angle_min:.3f} to "
-                f"{limits.angle_max:.3f} rad; move it back with its own driver"
+                f"{limits.angle_max:.3f} rad; move the fin back with its own driver"
             )
         if problems := self._explain_publishers(topics.transport, topics.joint, topics.wrench):
             raise DeviceError(problems[0])

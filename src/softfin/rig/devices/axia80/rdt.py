@@ -100,7 +100,7 @@ STATUS_BITS = {
     7: StatusBit(
         "calibration cannot be read",
         True,
-        "switch it off and on; if that fails, send it to ATI",
+        "switch the sensor off and on; if that fails, send it to ATI",
     ),
     16: StatusBit(
         "a threshold set in the sensor was exceeded",

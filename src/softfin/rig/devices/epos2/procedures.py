@@ -159,8 +159,8 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
             if refusal.code not in protocol.MISSING:
                 raise
             notes.append(
-                f"drive has no {entry}; run `softfin rig check --prove --arm` to test whether it "
-                "stops by itself"
+                f"drive has no {entry}; run `softfin rig check --prove --arm` to test whether the "
+                "drive stops by itself"
             )
     return tuple(notes)
 
