@@ -245,7 +245,9 @@ def test_a_host_that_hangs_is_told_and_its_servo_must_be_acknowledged():
         assert "stopped by its bus watchdog" in made.drive.complaints()[0]
         made.drive.link.close()
         other = Dynamixel(made.drive.config, made.clock)
-        with pytest.raises(RigError, match=r"bus watchdog .*; then run: softfin rig check --reset"):
+        with pytest.raises(
+            RigError, match=r"bus watchdog, .*; then run: softfin rig check --reset"
+        ):
             other.open()
         other.connect()
         assert "bus watchdog" in other.reset_fault()

@@ -151,7 +151,7 @@ def test_another_program_that_moves_our_drive_is_refused() -> None:
 
         made.clock.spawn(command, "commands")
         second = Epos2(made.bus, drive_config(node=1, host_node=99), made.clock)
-        with pytest.raises(RigError, match="another program is using drive 1; end it"):
+        with pytest.raises(RigError, match="another program is using drive 1; close it"):
             second.open()
 
 
