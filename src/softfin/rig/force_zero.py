@@ -1,4 +1,4 @@
-"""the force sensor zero, which softfin subtracts from all readings: measured at rest, saved in
+"""The force sensor zero, which softfin subtracts from all readings: measured at rest, saved in
 the rig record, and used whenever the rig is opened."""
 
 import datetime

@@ -5,7 +5,6 @@ Nothing else stops a fin if its program is killed or hangs. Whether a drive does
 settings and firmware, so a rig with a file must not move its fin before this proof.
 """
 
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from softfin.rig.config import RigConfig
 from softfin.rig.device import Drive
 from softfin.rig.drive_safety import PausedError
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
+from softfin.storage.paths import typed_path
 
 
 def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
@@ -85,4 +85,4 @@ def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
 
 def proving_command(file: Path, options: str = "--prove") -> str:
     """Return the command for testing whether a rig drive stops by itself."""
-    return f"softfin rig check --rig {shlex.quote(str(file))} {options} --arm"
+    return f"softfin rig check --rig {typed_path(file)} {options} --arm"

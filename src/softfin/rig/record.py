@@ -9,7 +9,7 @@ import json
 from datetime import datetime
 from pathlib import Path
 
-from pydantic import Field, JsonValue
+from pydantic import ConfigDict, Field, JsonValue
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
@@ -18,6 +18,9 @@ from softfin.storage import artifact as artifacts
 
 class MovingProof(Configuration):
     """Result of killing and suspending a program that swings the fin."""
+
+    # Records of earlier versions have more fields.
+    model_config = ConfigDict(extra="ignore")
 
     deaths: int = Field(gt=0)
     """Number of times."""

@@ -2,7 +2,6 @@
 policies (paper Sec. III-C), or export one to ONNX."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -29,6 +28,7 @@ from softfin.core.result import Result
 from softfin.core.seeds import check_seed
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
+from softfin.storage.paths import typed_path
 from softfin.storage.registry import check_plant, plant_name
 
 if TYPE_CHECKING:
@@ -252,8 +252,8 @@ def train(
 
 def next_step(controller: Path, plant: PlantLike) -> str:
     """Return the command with which to try a controller next."""
-    name = shlex.quote(plant_name(plant))
-    return f"next: softfin evaluate {shlex.quote(str(controller))} --plant {name}"
+    name = typed_path(plant_name(plant))
+    return f"next: softfin evaluate {typed_path(controller)} --plant {name}"
 
 
 def _score_table(scores: Sequence[JsonObject]) -> list[str]:

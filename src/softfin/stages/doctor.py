@@ -120,13 +120,16 @@ def _serial_ports() -> CheckResult:
     if not ports:
         return CheckResult("serial ports", "note", "none on USB; a Dynamixel needs one")
     text = ", ".join(map(str, ports))
-    if not ports:
-        text = "none on USB; a Dynamixel needs one"
-    elif all(os.access(port, os.R_OK | os.W_OK) for port in ports):
+    if all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
+<<<<<<< HEAD
     else:
         text += (
             "; you may lack permission to use some of them: run sudo usermod -aG dialout $USER, "
             "then log in again"
         )
     return CheckResult("serial ports", "note", text)
+=======
+    fix = "not all may be used: run sudo usermod -aG dialout $USER, then log in again"
+    return CheckResult("serial ports", "note", f"{text}; {fix}")
+>>>>>>> wip-int

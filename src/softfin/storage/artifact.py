@@ -32,7 +32,12 @@ def check_vacant(
 ) -> None:
     """Raise ArtifactError unless a folder can be written to `path`: it must be missing or empty, or
     a softfin folder if `overwrite` is set, of the given kind if there is one."""
-    if Path.cwd().is_relative_to(path.resolve()):
+    try:
+        is_current = Path.cwd().is_relative_to(path.resolve())
+    except FileNotFoundError:
+        # The current folder was deleted.
+        is_current = False
+    if is_current:
         # The output replaces the folder, and relative paths would no longer refer to anything.
         raise ArtifactError(
             f"{path}: is or contains the current folder, which cannot be replaced; choose a "

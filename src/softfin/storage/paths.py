@@ -1,6 +1,7 @@
 """Checks the files and folders that a user names, before any work starts. Uses neither NumPy nor
 JAX, so that mistakes are reported immediately."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -85,3 +86,9 @@ def check_reference_file(path: Path) -> None:
     if path.suffix not in (".csv", ".parquet"):
         raise ConfigurationError(f"--reference-file {path}: must be a .csv or .parquet file")
     check_readable(path, option="--reference-file ")
+
+
+def typed_path(path: Path | str) -> str:
+    """Return a path as it is typed in a shell, even if it begins like an option."""
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)

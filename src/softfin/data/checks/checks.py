@@ -64,12 +64,13 @@ MIN_TURN_DEG = 15
 """Smallest rotation of the force axes that is reported [degrees]; in good logs the best axes are
 turned by up to 10 degrees."""
 
-MAX_REST_ERROR_DEG = 4.0
+MAX_REST_ERROR_DEG = 10.0
 """Largest plausible difference between the angle and its command while the fin is at rest
-[degrees]."""
+[degrees]; the published networks' logs have up to 8."""
 
-REST_SLOPES = (0.8, 1.25)
-"""Plausible slopes of the angle against its command while the fin is at rest."""
+REST_SLOPES = (0.7, 1.4)
+"""Plausible slopes of the angle against its command while the fin is at rest; the published
+networks' logs have 0.79 to 0.85."""
 
 SHAFT_GAIN = 0.03
 """Reported gain of correlation if the sensor turns with the shaft; negative in good logs."""
@@ -253,8 +254,10 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         runs = []
         for start, end in frozen_runs(values):
             # The first 0.2 s are dead time. More than half a second of the run must count as
-            # driven, because a blocked drive may push without moving.
-            if driven[start + RATE_HZ // 5 : end].sum() > RATE_HZ // 2:
+            # driven, because a blocked drive may push without moving. The published fin moves away
+            # from its command for up to 1.6 s.
+            least = 2.5 if channel == "command_angle" else 0.5
+            if driven[start + RATE_HZ // 5 : end].sum() > least * RATE_HZ:
                 runs.append((end - start, -start))
         if runs:
             # The first of the longest runs: starts are negated for max().

@@ -28,6 +28,9 @@ RATES_HZ = (5.0, 20_000.0)
 MAX_GRID_S = 0.002
 """Coarsest plausible resolution of a clock that does not count the rows [s]."""
 
+MAX_LONG_STEPS = 0.15
+"""Largest plausible share of such a clock's steps that are longer than the others."""
+
 CUTOFF_HZ = 40.0
 """Frequency at which the low-pass filter halves the amplitude [Hz]: below the Nyquist frequency
 (50 Hz) of the logs and above the frequencies of fin motion."""
@@ -285,10 +288,9 @@ def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
             f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; {_rate_fix(rate, config)}"
         )
     grid = float(steps.min())
-    rows = 1 / (rate * grid)
     is_on_grid = bool((np.abs(steps % grid - grid / 2) > 0.49 * grid).all())
-    # A steady clock has all its steps on a grid, too: that of its rate.
-    if is_on_grid and grid > MAX_GRID_S and abs(rows - round(rows)) > 0.05:
+    # A steady clock has all its steps on a grid, too, but few longer ones.
+    if is_on_grid and grid > MAX_GRID_S and np.mean(steps > 1.5 * grid) > MAX_LONG_STEPS:
         message = f"all steps of the clock are multiples of {1e3 * grid:.3g} ms"
         fix = (
             "record the time with more digits; if the rows of a table are evenly spaced, use "

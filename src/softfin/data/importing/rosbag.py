@@ -422,7 +422,7 @@ def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: P
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
     bag = "ROS 1 bag" if path.suffix.lower() == ".bag" else "bag"
     fix = f"set it with --topics {role}={suggestion}"
-    if not set(READABLE_TYPES[role]) & set(types.values()):
+    if not likely & set(types.values()):
         fix = f"record the {role} as well, as {' or '.join(READABLE_TYPES[role])}"
     return LogError(
         f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; {fix}"

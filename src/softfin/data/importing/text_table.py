@@ -31,7 +31,7 @@ MIN_COLUMNS = 4
 
 COMMENT = re.compile(r"\s*(#|%|//|\"?sep=|$)", re.IGNORECASE)
 
-ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "012": "utf-32-be"}
+UNICODE_ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "012": "utf-32-be"}
 """Encodings by the places of four bytes that are often NUL."""
 
 
@@ -114,9 +114,10 @@ def _decode(data: bytes) -> str:
         str(place) for place in range(4) if 3 * is_nul[place::4].sum() > len(is_nul) / 4
     )
     try:
-        return data.decode(ENCODINGS.get(places, "utf-8")).removeprefix("\ufeff")
+        return data.decode(UNICODE_ENCODINGS.get(places, "utf-8")).removeprefix("\ufeff")
     except UnicodeDecodeError:
-        return data.decode("cp1252", "replace")
+        # The degree sign of old Macs.
+        return data.decode("cp1252", "replace").replace("¡", "°")
 
 
 def _is_cut(body: str) -> bool:

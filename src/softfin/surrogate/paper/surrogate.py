@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import ArtifactError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, check_commands, check_key, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
-from softfin.surrogate.training import name_net_arrays, restored
+from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 
 class SurrogateState(NamedTuple):
@@ -84,10 +84,7 @@ class Surrogate(eqx.Module):
         Raises:
             LogError: the history is too short.
         """
-        if history.rows < self.memory:
-            raise LogError(
-                f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
-            )
+        check_history(history, self.memory)
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
         # The state ends with the command before the last row, because the next call of `advance`
         # appends the command of that row. It also drops the oldest entry before any network sees
