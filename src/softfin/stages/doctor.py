@@ -122,14 +122,8 @@ def _serial_ports() -> CheckResult:
     text = ", ".join(map(str, ports))
     if all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
-<<<<<<< HEAD
-    else:
-        text += (
-            "; you may lack permission to use some of them: run sudo usermod -aG dialout $USER, "
-            "then log in again"
-        )
-    return CheckResult("serial ports", "note", text)
-=======
-    fix = "not all may be used: run sudo usermod -aG dialout $USER, then log in again"
+    fix = (
+        "you may lack permission to use some of them: run sudo usermod -aG dialout $USER, then log "
+        "in again"
+    )
     return CheckResult("serial ports", "note", f"{text}; {fix}")
->>>>>>> wip-int

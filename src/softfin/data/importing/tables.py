@@ -38,13 +38,8 @@ own rows."""
 MISSING_TEXTS = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
 """What stands for a missing number."""
 
-<<<<<<< HEAD
-GROUPED = r"^[-+]?[1-9]\d{0,2}(?:,\d{3})+$"
-"""An integer with thousands separators, unless these are decimal commas."""
-=======
 GROUPED = r"^[-+]?[1-9]\d{0,2}(?:[.,]\d{3})+$"
-"""A whole number with separators of thousands, unless these are decimal separators."""
->>>>>>> wip-int
+"""An integer with thousands separators, unless these are decimal separators."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
