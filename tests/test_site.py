@@ -91,7 +91,10 @@ def test_the_errors_page_has_every_class(generate):
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type)]
     assert len(kinds) > 10
     assert all(f"| `{kind.__name__}`" in text for kind in kinds)
-    assert "map or train again" in text.split("\n## ArtifactError\n")[1].split("\n## ")[0]
+    assert (
+        "or run softfin map or train again"
+        in text.split("\n## ArtifactError\n")[1].split("\n## ")[0]
+    )
 
 
 def test_the_evidence_page_has_every_result(generate):

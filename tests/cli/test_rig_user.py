@@ -132,7 +132,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
     assert session.stop_request.trip == (
         "emergency_stop",
-        "nobody reads the output any more (Broken pipe)",
+        "the output is no longer being read (Broken pipe)",
     )
 
 

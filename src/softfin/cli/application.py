@@ -36,8 +36,8 @@ FLAG_SIMILARITY = 0.8
 configurations differ more from the flags of their commands."""
 
 EPILOGUE = (
-    "--json prints the result as JSON, --debug shows the traceback of an error, -h or --help this "
-    "help."
+    "--json prints the result as JSON, --debug prints the traceback of an error, and -h or --help "
+    "prints this help."
 )
 
 

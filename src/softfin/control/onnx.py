@@ -45,7 +45,7 @@ LAST_COMMAND = "last_command"
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""Maximum difference from NumPy's commands [rad, rad/s]; if it is larger, no file is written."""
+"""Maximum difference from the NumPy commands [rad, rad/s]; if it is larger, no file is written."""
 
 EPISODE = 240
 """Number of actions in the comparison."""
@@ -61,7 +61,7 @@ class Exported(NamedTuple):
     bytes: int
     opset: int
     worst: float
-    """Largest difference from softfin's own commands during the check [rad, rad/s]."""
+    """Largest difference from the softfin commands during the check [rad, rad/s]."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -132,8 +132,9 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     worst = _difference(data, controller)
     if not worst <= MAX_COMMAND_DIFFERENCE:
         raise RunError(
-            f"{file}: not written: onnxruntime's commands differ from softfin's by {worst:.2g} "
-            f"(limit {MAX_COMMAND_DIFFERENCE:g}); use a different version of onnxruntime"
+            f"{file}: not written: the commands from onnxruntime differ from the softfin commands "
+            f"by {worst:.2g} (limit {MAX_COMMAND_DIFFERENCE:g}); use a different version of "
+            "onnxruntime"
         )
     write_file(file, data)
     return Exported(
@@ -235,17 +236,17 @@ def _metadata(controller: LoadedController) -> JsonObject:
         "fin": artifact.fin,
         "force_frame": FORCE_FRAME,
         "inputs": {
-            "angle": "angle of the shaft, the last reading [rad]; before the first, "
-            "the angle at rest",
-            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; "
-            "not used yet",
+            "angle": "last reading of the shaft angle [rad]; before the first reading, the angle "
+            "at rest",
+            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first "
+            "action; not used yet",
             "reference": "(x, y), mean force to hold [N]",
         },
         "unusable_inputs": "while the angle or the reference is NaN, infinite or beyond "
         f"{MAX_MEASUREMENT:g}, the last command is repeated and the state does not change",
         "outputs": {
             "command_angle": "[rad]",
-            "command_velocity": "velocity limit of the motion to it [rad/s]",
+            "command_velocity": "velocity limit of the motion to this angle [rad/s]",
         },
         "weights_sha256": artifact.weights_sha256,
     }

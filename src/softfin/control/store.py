@@ -25,7 +25,7 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
 CONTROLLER_KIND = "controller"
-AGAIN = "copy the folder again, or map or train again"
+AGAIN = "copy the folder again, or run softfin map or train again"
 """Suggested fix for a damaged folder."""
 
 CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, GridStep, GaitStep)}

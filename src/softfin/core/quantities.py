@@ -109,9 +109,9 @@ REST_TOLERANCE_RAD = 0.03
 closer to the end of a range."""
 
 ALLOWED_LIMITS = (
-    f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
-    f"{MAX_ANGLE_RAD:.3f} rad and "
-    f"0 <= velocity_min <= velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s, and 0 < velocity_max"
+    f"the limits of a fin must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
+    f"{MAX_ANGLE_RAD:.3f} rad and 0 <= velocity_min <= velocity_max <= {MAX_VELOCITY_RAD_S:g} "
+    "rad/s, and 0 < velocity_max"
 )
 
 

@@ -214,7 +214,7 @@ def write_simulated(
         sensor_config(sensor),
     )
     rig["emulation"] = {"seed": seed, "tank": values}
-    write_rig(path, rig, "An emulated rig, run by each command in simulated time")
+    write_rig(path, rig, "An emulated rig, simulated by each command that uses it")
 
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:

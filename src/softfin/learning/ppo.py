@@ -51,7 +51,7 @@ class PPOConfig(Configuration):
     learning_rate: PositiveFloat = 3e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
-    """Final learning rate as a fraction of the initial one (linear decay)."""
+    """Final learning rate as a fraction of the initial learning rate (linear decay)."""
     discount: float = Field(default=0.8, gt=0, lt=1)
     """Discount factor gamma per action. With 0.8, the horizon is about 5 actions; the reward window
     has 6."""

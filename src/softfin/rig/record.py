@@ -35,7 +35,7 @@ class MovingProof(Configuration):
         """Short summary of the result."""
         return (
             f"the fin turned {self.way_median_rad:.2f} rad, at most {self.way_worst_rad:.2f} rad, "
-            f"after softfin had died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
+            f"after softfin died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
         )
 
 

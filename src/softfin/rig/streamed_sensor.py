@@ -310,7 +310,7 @@ class StreamedSensor:
         notes = list(self._source.notes())
         if self.config.rate_hz < RATE_HZ:
             notes.append(
-                f"{self.config.rate_hz:g} {self._source.unit}s per second are fewer than the log's "
+                f"{self.config.rate_hz:g} {self._source.unit}s per second are fewer than the "
                 f"{RATE_HZ} rows; the force in between is interpolated"
             )
         return tuple(f"{self.name}: {note}" for note in notes)
@@ -401,9 +401,9 @@ class StreamedSensor:
             )
         if not is_fit:
             raise RigError(
-                f"{self.name}: {arrival_rate_hz:.0f} {unit}s arrive per second, but by their time "
-                f"stamps or numbers there are {self.times.rate_hz:.0f}; check the speed of its "
-                "clock, and the connection"
+                f"{self.name}: {arrival_rate_hz:.0f} {unit}s arrive per second, but according to "
+                f"their timestamps or counters, the rate is {self.times.rate_hz:.0f}; check the "
+                "speed of its clock, and the connection"
             )
 
     def _await_first(self) -> None:

@@ -33,7 +33,7 @@ from softfin.tank import Tank, TankState
 from softfin.tank.tank import Load
 
 PART_OF_REACH = 0.7
-"""Fraction of each fin's maximum thrust within which the fin forces of targets are drawn."""
+"""Fraction of the maximum thrust of each fin within which the fin forces of targets are drawn."""
 
 WINDOWS = 10
 """Number of windows for which each target is held, from rest; errors are computed over the second

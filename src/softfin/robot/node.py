@@ -142,7 +142,7 @@ class RobotNode:
         if action.given_up.any():
             axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
             self._once(
-                f"{self.config.reference_topic}: out of the fins' reach in {axes}; for the "
+                f"{self.config.reference_topic}: out of reach of the fins in {axes}; for the "
                 f"resulting wrench, see {self.config.wrench_topic}"
             )
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
@@ -243,8 +243,8 @@ class RobotNode:
                 return
             if now > deadline:
                 self._once.report(
-                    f"{', '.join(going)}: still publishing {STOPPING_S:g} s after the stop; "
-                    "switch off their motors' supply"
+                    f"{', '.join(going)}: still publishing {STOPPING_S:g} s after the stop; switch "
+                    "off the supply of their motors"
                 )
                 return
 

@@ -108,7 +108,7 @@ def _can() -> CheckResult:
     }
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     if not states:
-        text = "no SocketCAN interface; an EPOS2 needs one, or another CAN adapter"
+        text = "no SocketCAN interface; an EPOS2 needs SocketCAN or a different CAN adapter"
     elif all(states.values()):
         return CheckResult("CAN", "well", text)
     else:
@@ -123,5 +123,8 @@ def _serial_ports() -> CheckResult:
     text = ", ".join(map(str, ports))
     if all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
-    fix = "not all may be used: run sudo usermod -aG dialout $USER, then log in again"
+    fix = (
+        "you may lack permission to use some of them: run sudo usermod -aG dialout $USER, then log "
+        "in again"
+    )
     return CheckResult("serial ports", "note", f"{text}; {fix}")

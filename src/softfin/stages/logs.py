@@ -85,7 +85,7 @@ def import_logs(
     Args:
         logs: A recording, or a folder of recordings.
         out: Dataset folder to write.
-        recordings: How to read recordings that softfin did not make.
+        recordings: How to read recordings from other programs.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -149,7 +149,7 @@ def recover_recording(
     if not recovery.damages:
         return Result(
             {"recovered": None, **recovery.to_dict()},
-            f"{recording}: not damaged; use it as it is, no file was written",
+            f"{recording}: not damaged; use the recording as it is, because no file was written",
         )
     messages = counted(sum(recovery.messages.values()), "message")
     reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)

@@ -61,7 +61,7 @@ def fit(
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
-        recordings: How to read recordings that softfin did not make.
+        recordings: How to read recordings from other programs.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
         resume: Continue from the last checkpoint of an unfinished run.
@@ -160,7 +160,8 @@ def _summarize_fit(
     clock = ""
     if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
         parts.append(
-            f"actions of {stroke_s:.2g} s suit this fin and its logs: --clock auto means {fitting}"
+            f"actions of {stroke_s:.2g} s suit this fin and its logs: --clock auto selects "
+            f"{fitting}"
         )
         clock = " --clock auto"
     parts.append(
@@ -255,7 +256,7 @@ def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str 
         return None
     return (
         f"{out}: noise hides the force: the mean force over 2 s in the logs is {measured_n:.2g} N "
-        f"rms, but this includes noise of {noise_n:.2g} N (with drift and the error of the fit); "
+        f"rms, but this includes noise of {noise_n:.2g} N (including drift and the fitting error); "
         "use a more sensitive force sensor or faster strokes, record more logs, or fit longer"
     )
 
@@ -287,7 +288,7 @@ def calibrate(
     determined.
 
     Args:
-        data: Logs, or a plant: tank, a tank's YAML file, a surrogate or package.module:plant.
+        data: Logs, or a plant: tank, a tank YAML file, a surrogate or package.module:plant.
         out: Output folder for calibration.json and tank.yaml.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.

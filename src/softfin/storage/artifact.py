@@ -236,7 +236,7 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     description = load_description(path, kind)
     file = path / WEIGHTS
     if not file.exists():
-        raise ArtifactError(f"{file}: missing; copy the whole folder again")
+        raise ArtifactError(f"{file}: missing; copy the complete folder again")
     try:
         weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():

@@ -270,9 +270,9 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
         f"jumps by a full turn in {wraps.size:,} of {len(track.time):,} rows: the encoder wraps"
     )
     fix = (
-        "set the encoder's zero at the fin's rest position, so that it does not wrap within the "
-        "fin's range, and record again; with --ignore-errors wraps, the angle is unwrapped so that "
-        "its median is close to 0"
+        "set the encoder zero at the rest position of the fin, so that the angle does not wrap "
+        "within the range of the fin, and record again; with --ignore-errors wraps, the angle is "
+        "unwrapped so that its median is close to 0"
     )
     issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
     angle = unwrapped(track.channels["angle"])
@@ -362,8 +362,8 @@ def _split_at_gaps(
             channels = "/".join(track.channels)
             times.append(f"{channels} {track.time[0]:.2f} .. {track.time[-1]:.2f} s")
         raise LogError(
-            f"{name}: the channels have no time in common: {'; '.join(times)}; stamp all channels "
-            "with one clock"
+            f"{name}: the channels have no time in common: {'; '.join(times)}; timestamp all "
+            "channels with the same clock"
         )
     gaps = _find_gaps(reading, (begin, end), config)
     if not gaps:
@@ -451,7 +451,7 @@ def _further_channels(
         longest_s = float(np.diff(inside, prepend=span[0], append=span[1]).max())
         if longest_s > config.gap_s + TICK_S:
             text = f"no values for up to {longest_s:.3g} s"
-            fix = "values between are interpolated, the first and the last one are held"
+            fix = "missing values are interpolated, and the first and last values are held"
             if not inside.size:
                 fix = "the channel is left out"
             issues.append(Issue("warning", "channel gap", name, text, fix, channel))

@@ -39,7 +39,7 @@ MISSING_TEXTS = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
 """What stands for a missing number."""
 
 GROUPED = r"^[-+]?[1-9]\d{0,2}(?:[.,]\d{3})+$"
-"""A whole number with separators of thousands, unless these are decimal separators."""
+"""An integer with thousands separators, unless these are decimal separators."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
@@ -188,7 +188,7 @@ def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], so
         cell = values[int(is_other.argmax())].as_py()
         raise LogError(
             f"{source}: {is_other.sum():,} cells are not plain numbers, the first {cell!r}; save "
-            "the file without separators of thousands and without units in the cells"
+            "the file without thousands separators or units in the cells"
         )
 
 

@@ -144,7 +144,7 @@ def _find_layout(text: str, path: Path) -> _Layout:
         )
     raise NotALogError(
         f"{path}: no rows of numbers below a header with the names of at least {MIN_COLUMNS} "
-        "columns; use the file of a log"
+        "columns; use a file that contains a log"
     )
 
 

@@ -60,8 +60,8 @@ class NewestReference(Generic[InputValue]):
             self._once(subscription.refusal)
         if subscription.mismatched():
             self._once(
-                f"{topic}: messages of a publisher cannot be received; it must be reliable, not "
-                "best effort"
+                f"{topic}: messages from a publisher cannot be received; its quality of service "
+                "must be reliable, not best effort"
             )
         newest = self._newest
         timeout = self._timeout
@@ -112,10 +112,10 @@ class EmergencyStop:
                 # quality.
                 if self._subscriptions["best_effort"].mismatched():
                     problem = (
-                        "messages of a publisher cannot be received, so it cannot stop the fin"
+                        "messages from a publisher cannot be received, so it cannot stop the fin"
                     )
                     self._once(
-                        f"{self._topic}: {problem}; use ROS 2's default quality of service for it"
+                        f"{self._topic}: {problem}; use the default quality of service of ROS 2"
                     )
             except DeviceError as error:
                 self._reason = f"emergency stop cannot be received: {error}"

@@ -50,8 +50,8 @@ class Surrogate(eqx.Module):
         forcenet = self.forcenet.config.window
         if posnet != forcenet:
             raise ArtifactError(
-                f"surrogate: PosNet has a window of {posnet} samples and ForceNet of {forcenet}; "
-                "the windows must be equal"
+                f"surrogate: PosNet has a window of {posnet} samples and ForceNet has a window of "
+                f"{forcenet}; the windows must be equal"
             )
 
     @property

@@ -82,8 +82,8 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
     ]
     if not places:
         raise LogError(
-            f"{split} logs: none has {rows + 1} rows, as a segment of {rows / RATE_HZ:g} s "
-            "requires; lower segment_s"
+            f"{split} logs: none has the {rows + 1} rows required for a segment of "
+            f"{rows / RATE_HZ:g} s; lower segment_s"
         )
     commands = []
     readings = []

@@ -155,8 +155,8 @@ class ServoLink:
         if code:
             name = Refusal(code).name.lower().replace("_", " ") if code in set(Refusal) else "?"
             raise RefusedError(
-                f"{self.name}: refused {what} (error {code}, {name}); end other programs that use "
-                "it, and switch it off and on",
+                f"{self.name}: refused {what} (error {code}, {name}); close other programs that "
+                "use it, and switch it off and on",
                 code,
             )
         return answer[1:]

@@ -149,8 +149,8 @@ class CanConnection:
         # The receiver thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
-                f"drive's {entry} cannot be accessed: an earlier request is still pending; try "
-                "again"
+                f"drive object {entry} cannot be accessed: an earlier request is still pending; "
+                "try again"
             )
         try:
             # Do this before sending, because the receiver thread may get the answer before `send`
@@ -241,7 +241,7 @@ def download(entry: Object, value: int) -> bytes:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
         raise DeviceError(
-            f"drive's {entry} cannot be set to {value}, which is out of range; change the "
+            f"drive setting {entry} cannot be set to {value}, which is out of range; change the "
             "value in the rig file"
         ) from None
     # CiA 301: expedited download that indicates the number of unused bytes.

@@ -93,7 +93,7 @@ class LineSource(RecordSource):
     def checks(self) -> Iterator[CheckResult]:
         """Yield a warning that lines without a number can be lost unnoticed."""
         if self.config.counter is None:
-            text = "lines have no counter or time, so lost and doubled lines are not noticed"
+            text = "lines have no counter or time, so lost and duplicate lines are not detected"
             yield CheckResult("force sensor", "note", text)
 
     def explain_silence(self) -> str:
@@ -115,17 +115,17 @@ class LineSource(RecordSource):
         if len(self._senders) > 1:
             lines.append(
                 f"records come from {' and '.join(self._senders)}, so two sensors send to this "
-                "port, or it restarted; give each its own udp_port, then start again"
+                "port, or one restarted; give each sensor its own udp_port, then start again"
             )
         elif self._counter.has_restarted:
             lines.append(
-                "its counter went back, so it restarted, or two sensors send to the same address; "
-                "check its supply and cable"
+                "its counter went back, so the sensor restarted, or two sensors send to the same "
+                "address; check its supply and cable"
             )
         if self._lag.is_lagging:
             lines.append(
-                f"its lines arrive {self._lag.lag_s:.2f} s later than at first, because they wait "
-                "in a buffer; send fewer or shorter lines, or increase baud, then start again"
+                f"its lines arrive {self._lag.lag_s:.2f} s later than at the start, because they "
+                "wait in a buffer; send fewer or shorter lines, or increase baud, then start again"
             )
         if self._malformed_in_a_row >= MALFORMED_RECORDS:
             lines.append(
