@@ -258,9 +258,9 @@ class PPO:
 
     def _optimiser(self) -> optax.GradientTransformation:
         rate = self.config.learning_rates(self.num_updates)
-        clip = optax.clip_by_global_norm(self.config.max_grad_norm)
+        limit = optax.clip_by_global_norm(self.config.max_grad_norm)
         # All weights as one vector compile faster than one operation per array.
-        return optax.flatten(optax.chain(clip, optax.adam(rate, eps=1e-5)))
+        return optax.flatten(optax.chain(limit, optax.adam(rate, eps=1e-5)))
 
 
 def advantages(

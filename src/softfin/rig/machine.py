@@ -17,7 +17,7 @@ Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 """Force (x, y, z) [N] and torque (x, y, z) [N m] of the fin on its mount, in softfin's axes."""
 
 WrenchArray = Float[np.ndarray, " 6"]
-"""The same as an array, in the axes of softfin or of the sensor."""
+"""A wrench as an array, in the axes of softfin or of the sensor."""
 
 WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 """Names of the channels of a wrench."""

@@ -377,12 +377,12 @@ def _unit_option(log: CheckedLog, channel: AngleChannel, factor: float) -> str |
     # `factor` applies to the column after the conversion that check_degrees suggests.
     wrong = channels_in_degrees(log.raw, log.config.velocity_rad_s is not None)
     angles |= {each: "deg" for each in ANGLES if each in wrong}
-    known = UNITS["velocity"]
+    units = UNITS["velocity"]
     current = angles.get(channel, "rad/s")
     # An angle unit for a velocity, such as deg, means that unit per second.
-    factor *= known[current if current in known else f"{current}/s"]
+    factor *= units[current if current in units else f"{current}/s"]
     for unit in VELOCITY_UNITS:
-        if 0.93 < factor / known[unit] < 1.07:
+        if 0.93 < factor / units[unit] < 1.07:
             return _angles_option(angles | {channel: unit})
     return None
 

@@ -36,7 +36,7 @@ its own rows."""
 
 
 MISSING_TEXTS = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
-"""What stands for a missing number."""
+"""Texts in place of a missing number."""
 
 GROUPED = r"^[-+]?[1-9]\d{0,2}(?:[.,]\d{3})+$"
 """An integer with thousands separators, unless these are decimal separators."""
