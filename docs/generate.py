@@ -141,7 +141,7 @@ def _limit(limit: Any) -> str:
 
 def _kind(annotation: Any) -> str:
     names = {
-        int: "whole number",
+        int: "integer",
         float: "number",
         str: "text",
         bool: "true or false",

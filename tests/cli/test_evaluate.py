@@ -118,7 +118,7 @@ def test_a_misspelt_option_is_named_although_it_took_the_controller(controller, 
 
 def test_a_randomization_is_for_the_tank(controller):
     with pytest.raises(
-        ConfigurationError, match=r"--randomize 0.0: requires the virtual tank as plant, got"
+        ConfigurationError, match=r"randomize 0.0: requires the virtual tank as plant, got"
     ):
         softfin.evaluate(controller, plant="tests.plants:AnalyticFin", randomize=0.0)
 

@@ -115,7 +115,7 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--seed", "2147483648"], "--seed 2147483648: must be a whole number from 0"),
+        (["--seed", "2147483648"], "--seed 2147483648: must be an integer from 0"),
         (["--epochs", "3"], "--epochs: unknown option"),
         (["--force.wakes", "3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
         (["--burn-in", "900"], "burn_in must be less than ticks = 250"),
@@ -222,7 +222,7 @@ def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, mon
     monkeypatch.setattr("softfin.data.stroke_time.stroke_time", lambda logs: 0.12)
     out = tmp_path / "s"
     text = run(capsys, "fit", dataset, "--out", str(out))
-    assert "actions of 0.12 s suit this fin and its logs: --clock auto means 8 Hz" in text
+    assert "actions of 0.12 s suit this fin and its logs: --clock auto selects 8 Hz" in text
     assert f"next: softfin map {out} --clock auto --out gaits" in text
     assert find_clock("auto", str(out)) == ActionClock.at(8, 0.75)
 

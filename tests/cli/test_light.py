@@ -38,7 +38,7 @@ SLIPS: list[tuple[list[str], str]] = [
         ["collect", "--out", "full"],
         "full: already exists; choose a different --out, or use --overwrite",
     ),
-    (["collect", *OUT, "--seed", "-1"], "--seed -1: must be a whole number from 0 to"),
+    (["collect", *OUT, "--seed", "-1"], "--seed -1: must be an integer from 0 to"),
     (["collect", *OUT, "--arm"], "--arm: tank is simulated"),
     (
         ["example", "full"],

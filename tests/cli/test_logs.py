@@ -8,8 +8,10 @@ import pyarrow.csv
 import pytest
 
 from softfin.cli import main
-from softfin.storage.dataset import Dataset
+from softfin.data.recordings import open_logs
+from softfin.storage.dataset import Dataset, write_dataset
 from tests.data.faulty import tank_logs, to_columns
+from tests.surrogate.streaming import small
 
 COLUMNS = (
     "angle=position,command_angle=command angle,command_velocity=command "
@@ -179,3 +181,23 @@ def test_an_unknown_unit_of_angles_is_told_the_known_ones(authors, capsys):
 def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):
     assert softfin("inspect", authors, *options("--angles", "deg", "--force=-x,y")) == 0
     assert "-> --force=y,x" in capsys.readouterr().out
+
+
+def test_options_saved_beside_a_dataset_are_used(tmp_path, capsys):
+    logs = [small.recorded(300, seed) for seed in range(2)]
+    write_dataset(tmp_path / "data", logs, [], {})
+    assert softfin("inspect", tmp_path / "data", "--ignore-errors", "stuck", "--save") == 0
+    assert open_logs(tmp_path / "data").config.ignore_errors == ("stuck",)
+
+
+@pytest.mark.parametrize("rows", [5, 60])
+def test_logs_of_less_than_a_second_can_be_inspected(tmp_path, rows):
+    write_dataset(tmp_path / "data", [small.recorded(rows, 0)], [], {})
+    assert softfin("inspect", tmp_path / "data") == 0
+
+
+def test_a_folder_may_begin_like_an_option(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_dataset(tmp_path / "-logs", [small.recorded(300, seed) for seed in range(2)], [], {})
+    assert softfin("inspect", "--", "-logs") == 0
+    assert "next: softfin fit ./-logs " in capsys.readouterr().out

@@ -127,7 +127,7 @@ def test_a_proof_for_a_different_drive_or_settings_is_not_valid(file, capsys, ch
 def test_a_drive_that_ignores_the_loss_of_the_heartbeats_loses_its_proof(file, emulated, capsys):
     emulated.drive._traits = DriveTraits(ignores_heartbeat=True)
     line, code = fails(capsys, "rig", "check", "--rig", file, "--prove", "--arm", "--yes")
-    assert "drive ignores the loss of softfin's heartbeats" in line
+    assert "drive ignores missing heartbeats from softfin" in line
     assert code == 1
     assert json.loads(Path(file).with_suffix(".record.json").read_text())["stop_proof"] is None
     assert emulated.drive.state is State.SWITCH_ON_DISABLED
@@ -142,7 +142,7 @@ def test_a_proof_that_failed_and_cannot_be_removed_is_told_after_the_drives_own_
     monkeypatch.setattr("softfin.rig.prove.save_record", full_disk)
     emulated.drive._traits = DriveTraits(ignores_heartbeat=True)
     line, _ = fails(capsys, "rig", "check", "--rig", file, "--prove", "--arm", "--yes")
-    assert "drive ignores the loss of softfin's heartbeats" in line
+    assert "drive ignores missing heartbeats from softfin" in line
     assert line.endswith(
         "could not be removed: rig.record.json: cannot be written (No space left on device)"
     )

@@ -119,20 +119,20 @@ class _Typed(io.StringIO):
 
 
 def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
-    def gone(text):
+    def gone(*lines):
         raise BrokenPipeError(32, "Broken pipe")
 
     sample = Sample(0.0, 0.0, 0.0, None, None, 0.0, (0.0,) * 6, ())
     held = ActionResult((1.0, 0.0), Target(0.0, 1.0), [sample] * 100)
     monkeypatch.setattr(driving, "run_controller", lambda *_: iter([held]))
-    monkeypatch.setattr(driving, "say", gone)
+    monkeypatch.setattr(driving.STATUS, "show", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     drive = driving.Drive(load_controller(controller), BENCH, Arming(), 1, None, trim=False)
-    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0))
+    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
     assert session.stop_request.trip == (
         "emergency_stop",
-        "nobody reads the output any more (Broken pipe)",
+        "the output is no longer being read (Broken pipe)",
     )
 
 
@@ -146,7 +146,8 @@ def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     drive = driving.Drive(load_controller(controller), BENCH, Arming(), None, None, trim=False)
-    result = drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0))
+    result = {}
+    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), result, "Enter")
     assert result["error_x_n"] == pytest.approx(0.5)
     assert result["window_s"] == 2
 

@@ -297,7 +297,7 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, plant,
         terminal.wait_for("the commands are fixed; press Enter alone to stop the fin")
         terminal.type(key)
         assert terminal.ended() == 3, terminal.said
-    reason = "stopped by a key" if key == "\n" else "the terminal's input ended"
+    reason = "stopped by a key" if key == "\n" else "the terminal input ended"
     assert f"softfin {command}: stopped, motor disabled: {reason}" in terminal.said
     (bag,) = (tmp_path / "out-bags").glob("*.mcap")
     events = events_of(bag)

@@ -83,7 +83,7 @@ DESCRIPTIONS = [
     ("single", {"format": 4}, "format is '4'"),
     ("single", {"format": ...}, "format is '1'"),
     ("gaits", {"lattice": LARGE}, "9999"),
-    ("gaits", {"lattice": TURNED}, "[2.5, -2.0] N"),
+    ("gaits", {"lattice": TURNED}, "(2.5, -2)"),
     ("gaits", {"lattice": ALONG}, "two nodes per side"),
     ("gaits", {"reachable": None}, "reachable = None"),
     ("grid", {"reachable": {"centre_n": [0, 0], "radius_n": [1, -1, 1]}}, "radius"),

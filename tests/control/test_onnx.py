@@ -147,7 +147,7 @@ def test_a_file_that_is_not_the_native_step_is_not_written(
     monkeypatch.setattr(exporting, "MAX_COMMAND_DIFFERENCE", -1.0)
     with pytest.raises(
         RunError,
-        match=r"not written: onnxruntime's commands differ .*limit .*; use a different version",
+        match=r"not written: the commands from onnxruntime differ .*limit .*; use a different version",
     ):
         export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
     assert not list(tmp_path.iterdir())

@@ -130,7 +130,7 @@ def test_an_option_wins_over_a_field_which_wins_over_the_file(tmp_path):
 
 
 def test_the_configuration_of_something_else_is_refused():
-    with pytest.raises(ConfigurationError, match="config: a Inner; use a Outer"):
+    with pytest.raises(ConfigurationError, match="config: is of type Inner; use a Outer"):
         configure(Outer(), Inner())
 
 

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
+from softfin.core.choices import LOOPBACK
+from softfin.emulation.bus import SocketcandServer, format_frame, parse_frame
 from softfin.emulation.epos2.drive import EmulatedDrive
 from softfin.rig.bus import BusConfig
 from tests.patience import HANG_S, wait_until
@@ -63,7 +64,7 @@ def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
     virtual = BusConfig(interface="virtual", channel=channel)
     with closing(EmulatedDrive(virtual, config, fin)) as drive, SocketcandServer(channel) as server:
         bus = BusConfig(
-            interface="socketcand", channel=channel, options={"host": HOST, "port": server.port}
+            interface="socketcand", channel=channel, options={"host": LOOPBACK, "port": server.port}
         )
         given = json.dumps(
             {"bus": bus.model_dump(), "drive": config.model_dump(), "hang_s": HANG_S}
@@ -100,7 +101,7 @@ def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
         SocketcandServer(channel) as server,
         can.Bus(interface="virtual", channel=channel) as inside,
     ):
-        options = {"host": HOST, "port": server.port}
+        options = {"host": LOOPBACK, "port": server.port}
         with (
             can.Bus(interface="socketcand", channel=channel, **options) as first,
             can.Bus(interface="socketcand", channel=channel, **options) as second,
@@ -139,7 +140,7 @@ def test_a_client_that_does_not_speak_the_protocol_is_let_go(spoken: bytes) -> N
         SocketcandServer(channel) as server,
         can.Bus(interface="virtual", channel=channel) as inside,
     ):
-        with socket.create_connection((HOST, server.port), timeout=HANG_S) as client:
+        with socket.create_connection((LOOPBACK, server.port), timeout=HANG_S) as client:
             client.sendall(spoken.replace(b"CHANNEL", channel.encode()))
             try:
                 while client.recv(4096):
@@ -147,7 +148,7 @@ def test_a_client_that_does_not_speak_the_protocol_is_let_go(spoken: bytes) -> N
             except ConnectionResetError:
                 pass
         assert inside.recv(0.02) is None
-        with can.Bus(interface="socketcand", channel=channel, host=HOST, port=server.port):
+        with can.Bus(interface="socketcand", channel=channel, host=LOOPBACK, port=server.port):
             pass
 
 
@@ -158,11 +159,11 @@ def test_it_listens_on_the_loopback_address_alone() -> None:
 
 def test_closing_ends_with_clients_still_there() -> None:
     server = SocketcandServer("y")
-    with socket.create_connection((HOST, server.port), timeout=HANG_S):
+    with socket.create_connection((LOOPBACK, server.port), timeout=HANG_S):
         server.server_close()
         server.server_close()
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((HOST, server.port), timeout=HANG_S)
+        socket.create_connection((LOOPBACK, server.port), timeout=HANG_S)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))

@@ -211,7 +211,7 @@ def test_the_evaluation_holds_what_moves_and_its_figures(tmp_path):
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
     assert len(summary["moving"]) == 5
     assert summary["moving"][-1]["duration_s"] == 6
-    names = {f"{name}.png" for name in ("experiments", "steps", "recorded")}
+    names = {f"{name}.png" for name in ("experiments", "steps", "recorded", "fin")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "evaluation.json"}
 
 

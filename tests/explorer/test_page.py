@@ -90,11 +90,13 @@ def test_every_element_that_the_scripts_name_is_there_and_every_control_has_a_na
 
 def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path):
     out = tmp_path / "explore.html"
-    with pytest.raises(ConfigurationError, match="gaits: contains duplicates; name each once"):
+    with pytest.raises(
+        ConfigurationError, match="gaits: contains duplicates; list each plant once"
+    ):
         explore(folder / "gaits", folder / "gaits", out=out)
-    with pytest.raises(ConfigurationError, match="plant: none given; name at least one"):
+    with pytest.raises(ConfigurationError, match="plant: missing; specify at least one"):
         explore(folder / "gaits", out=out, plant=())
-    with pytest.raises(PlantError, match="cannot run in the page"):
+    with pytest.raises(PlantError, match="cannot run on the page"):
         explore(folder / "gaits", out=out, plant=("tests.plants:AnalyticFin",))
     slow = tmp_path / "slow.yaml"
     slow.write_text("drive: {fastest_rad_s: 2}\n")

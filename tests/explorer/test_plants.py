@@ -100,7 +100,7 @@ def test_a_push_moves_the_water_and_dies_down():
 def test_another_plant_is_refused_with_the_ones_that_can_move(plant, told):
     with pytest.raises(PlantError) as refused:
         plant_data("mine", plant)
-    assert str(refused.value).startswith(f"plant mine: {told} cannot run in the page")
+    assert str(refused.value).startswith(f"plant mine: {told} cannot run on the page")
     assert "--plant tank" in str(refused.value)
 
 

@@ -41,9 +41,9 @@ def test_a_reach_below_the_noise_is_refused_with_both_and_the_fix() -> None:
     with pytest.raises(PlantError) as refused:
         check_usable(NoisyFin(noise_n=0.6), CIRCLE)
     assert str(refused.value) == (
-        "this fin's reach of 0.5 N is below the noise of its mean force, 0.6 N over 2 s (with drift "
-        "and the error of a fit); use a more sensitive force sensor or faster strokes, record more "
-        "logs, or fit longer"
+        "this fin's reach of 0.5 N is below the noise of its mean force, 0.6 N over 2 s (including "
+        "drift and the fitting error); use a more sensitive force sensor or faster strokes, record "
+        "more logs, or fit longer"
     )
 
 

@@ -14,10 +14,11 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from softfin.core.choices import LOOPBACK
 from softfin.core.clock import Clock
 from softfin.core.errors import SoftfinError
 from softfin.emulation.axia80 import EmulatedAxia80
-from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.bus import SocketcandServer
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.epos2.drive import (
     MOTION_STEP_S,
@@ -101,7 +102,7 @@ class Station:
             "fin": self.name,
             "bus": host_bus,
             "drive": drive if is_simulated else drive | {"sync_s": PATIENT_SYNC_S},
-            "sensor": {"address": HOST, "frame": "x,y", "rate_hz": RECORDS_HZ, **ports},
+            "sensor": {"address": LOOPBACK, "frame": "x,y", "rate_hz": RECORDS_HZ, **ports},
             "safety": limits,
         }
         """Contents of the rig's file of its host."""
@@ -159,7 +160,7 @@ class Fleet(contextlib.ExitStack):
         host_bus = bus.model_dump()
         if not isinstance(clock, SimulatedClock):
             server = self.enter_context(SocketcandServer(channel))
-            options = {"host": HOST, "port": server.port, "tcp_tune": True}
+            options = {"host": LOOPBACK, "port": server.port, "tcp_tune": True}
             host_bus |= {"interface": "socketcand", "options": options}
         self.stations: list[Station] = []
         for node in range(1, count + 1):

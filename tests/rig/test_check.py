@@ -47,9 +47,9 @@ def test_limits_of_the_current_that_can_never_trip_are_notes(tmp_path):
         rows = list(check_rig(robot.machine, tmp_path, 0.3))
     notes = [row.text for row in rows if row.what == "safety"]
     assert notes == [
-        "current_peak_a 4 A can never trip: the drive itself limits the current to 4 A; lower it",
-        "current_sustained_a 2.5 A can never trip: the drive itself limits the current to 2 A; "
-        "lower it",
+        "current_peak_a 4 A can never trip: the drive limits the current to 4 A; lower this limit",
+        "current_sustained_a 2.5 A can never trip: the drive limits the current to 2 A; lower this "
+        "limit",
     ]
     with emulated(current_peak_a=3.9, current_sustained_a=2.0) as (_, robot):
         assert "safety" not in findings(robot.machine, tmp_path)

@@ -42,7 +42,7 @@ def test_a_whole_file_is_read(tmp_path):
         (lambda v: v["drive"].update(node=200), "drive.node.*200"),
         (
             lambda v: v["safety"].clear(),
-            "current_peak_a and current_sustained_a are missing; set them to the motor's peak",
+            "current_peak_a and current_sustained_a are missing; set them to the peak",
         ),
         (
             lambda v: v["drive"].update(acceleration_rad_s2=300.0),

@@ -147,7 +147,7 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind.sensor.pages.update(sensor_pages(serial="FT31415"))
     with pytest.raises(
         RigError,
-        match=r"settings have changed since its zero was set \(serial was 'FT00000' and is 'FT31415'",
+        match=r"settings have changed since it was zeroed \(serial was 'FT00000' and is 'FT31415'",
     ):
         opened(config, behind.clock)
     zero_force(Rig(config, behind.clock), 0.2)
@@ -180,7 +180,7 @@ def test_a_zero_set_with_different_settings_is_refused_and_the_changes_are_liste
             if row.what == "force zero"
         ]
         assert row.state == "wrong"
-        assert f"its settings have changed since its zero was set ({words}" in row.text
+        assert f"its settings have changed since it was zeroed ({words}" in row.text
         assert row.text.endswith("run: softfin rig zero --force")
         with pytest.raises(RigError, match="its settings have changed"):
             opened(changed, behind.clock)

@@ -255,7 +255,7 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=COMPUTER) as behind:
         without_page = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"http_port": 1}))
-        with pytest.raises(DeviceError, match="cannot read the force sensor's page"):
+        with pytest.raises(DeviceError, match="cannot read the web page of the force sensor"):
             without_page.open()
         rig = Rig(config_of(behind))
         rig.open()

@@ -178,7 +178,10 @@ def test_far_beyond_the_training_range_trips_after_a_second():
     far = guard(trained)
     after, trip = first(far, 3, lambda now: sample(now, wrench=(5.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
     assert trip.cause == "beyond_training"
-    assert "force x was outside the surrogate's training range by 0.75 of its width" in trip.reason
+    assert (
+        "force x was outside the training range of the surrogate by 0.75 of its width"
+        in trip.reason
+    )
     assert after == pytest.approx(1.0, abs=0.03)
     assert (
         first(guard(trained), 3, lambda now: sample(now, wrench=(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[1]

@@ -25,7 +25,9 @@ from tests.surrogate.streaming import small
 @pytest.mark.parametrize("number", [None, "3", 2, 4, 0, [], {"a": 1}])
 def test_any_other_number_is_refused_with_the_way_out(number):
     check_format("controller", 3, "it")
-    with pytest.raises(ArtifactError, match=r"it: format is .*, but this softfin reads 3; use the"):
+    with pytest.raises(
+        ArtifactError, match=r"it: format is .*, but this version of softfin reads 3; use the"
+    ):
         check_format("controller", number, "it")
 
 
@@ -76,7 +78,7 @@ def test_a_recording_of_a_newer_softfin_is_refused_by_all_who_read_it(tmp_path, 
     record(file, rows=200)
     with pytest.raises(
         LogError,
-        match=r"run\.mcap: format is '2', but this softfin reads 1; use the version",
+        match=r"run\.mcap: format is '2', but this version of softfin reads 1; use the version",
     ):
         check_bag(file)
     follower = Follower(file)

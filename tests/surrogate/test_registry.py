@@ -94,7 +94,9 @@ def test_a_name_that_is_no_architecture_is_refused(name, words, tmp_path):
 
 def test_the_configuration_of_another_architecture_is_refused(tmp_path):
     (tmp_path / "log.csv").touch()
-    with pytest.raises(ConfigurationError, match="config: a FitConfig; use a StreamingConfig"):
+    with pytest.raises(
+        ConfigurationError, match="config: is of type FitConfig; use a StreamingConfig"
+    ):
         fit(tmp_path / "log.csv", out=tmp_path / "out", config=FitConfig())
 
 
@@ -117,7 +119,7 @@ def test_an_architecture_of_your_own_is_fitted_and_reported(capsys, tmp_path, da
     assert description["scores"]["gru_force"]["physical"]["rmse"] > 0
     write_report(tmp_path / "report.html", {"surrogate": {"scores": description["scores"]}})
     assert "GRU, commands to force" in (tmp_path / "report.html").read_text()
-    with pytest.raises(PlantError, match="cannot run in the page"):
+    with pytest.raises(PlantError, match="cannot run on the page"):
         plant_data("gru", fitted)
 
 

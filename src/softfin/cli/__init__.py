@@ -102,7 +102,7 @@ GROUPS = {
             "softfin.stages.robot:check", "check rank, reach and stability of a multi-fin robot"
         ),
         "robot evaluate": Command(
-            "softfin.stages.robot:evaluate", "evaluate the wrench errors of a robot's node"
+            "softfin.stages.robot:evaluate", "evaluate the wrench errors of a robot node"
         ),
         "robot ros2": Command(
             "softfin.stages.robot:ros2", "run a ROS 2 node that distributes wrenches among fins"

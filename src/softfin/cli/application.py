@@ -36,8 +36,8 @@ FLAG_SIMILARITY = 0.8
 configurations differ more from the flags of their commands."""
 
 EPILOGUE = (
-    "--json prints the result as JSON, --debug shows the traceback of an error, -h or --help this "
-    "help."
+    "--json prints the result as JSON, --debug prints the traceback of an error, and -h or --help "
+    "prints this help."
 )
 
 
@@ -98,13 +98,14 @@ def parse(
     options = list_options(function)
     flags = list_options(function, flags=True)
     changes: dict[str, str] = {}
-    rest = list(words)
+    # After two hyphens, no word is an option.
+    end = words.index("--") if "--" in words else len(words)
+    rest = list(words[:end])
     if CONFIG in inspect.signature(function).parameters:
-        rest, changes = _split(words, options, flags)
+        rest, changes = _split(rest, options, flags)
+    typed = [*_join_negative(rest, flags), *words[end:]]
     try:
-        _, bound, _ = make_app(function).parse_args(
-            _join_negative(rest, flags), exit_on_error=False, print_error=False
-        )
+        _, bound, _ = make_app(function).parse_args(typed, exit_on_error=False, print_error=False)
     except MissingArgumentError as error:
         usage = (
             format_help(function, program, width=1000).partition("\n")[0].replace("Usage", "usage")

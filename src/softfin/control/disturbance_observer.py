@@ -61,7 +61,7 @@ from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 @cache
 def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
     """Return the weights of the last actions in the window, newest first, by age modulo the length
-    of the clock's cycle."""
+    of the clock cycle."""
     # Actions differ in duration, so their weights depend on the phase of the clock.
     cycle = len(clock.ticks)
     return np.array(
@@ -90,7 +90,7 @@ class DisturbanceObserverConfig(Configuration):
     """
 
     bias_n: PositiveFloat | None = None
-    """Prior standard deviation of the controller's force error [N]; null: 0.2 N, scaled."""
+    """Prior standard deviation of the force error of the controller [N]; null: 0.2 N, scaled."""
     bias_per_n: NonNegativeFloat | None = None
     """Standard deviation of the change in the force error when the reference moves by 1 N [N];
     null: 0.03 N, scaled. The variance is proportional to the distance, so a slow movement adds as
@@ -179,7 +179,7 @@ class DisturbanceObserver:
         if self.settle_actions < least:
             raise ConfigurationError(
                 f"trim.settle_actions = {self.settle_actions} with lag_actions = "
-                f"{self.config.lag_actions}: the window of references is only full after {least} "
+                f"{self.config.lag_actions}: the window of references is full only after {least} "
                 f"actions; set settle_actions to {least} or more"
             )
         # JAX recreates the observer inside a compiled program, where the reach has no value; the
@@ -329,7 +329,7 @@ class DisturbanceObserver:
         return bias, drift, covariance
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
-        """Move the corrected reference into the reachable forces and the controller's cells.
+        """Move the corrected reference into the reachable forces and the controller cells.
 
         A correction may move the reference into a different cell. If it would move the reference
         between cells, it stops at the edge of the original cell. Cells are applied last: outside

@@ -10,8 +10,8 @@ from typing import ClassVar, NamedTuple
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import ForceMap, GaitTable, NamedArrays
-from softfin.gaits.reachable import Cell, Cells
+from softfin.gaits.gait import GaitTable, NamedArrays, parse_gaits
+from softfin.gaits.reachable import Cells
 
 
 class GaitState(NamedTuple):
@@ -37,10 +37,9 @@ class GaitStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["GaitStep", Cells]:
-        """Build the step from a controller's description and arrays; return the step and the
-        bounding box of its lattice."""
-        table = ForceMap.from_dict(description, arrays).gaits.table
-        box = Cell(low=tuple(table.low.tolist()), high=tuple(table.high.tolist()))
+        """Build the step from a controller's description and arrays; return it with the bounding
+        box of its lattice."""
+        table, box = parse_gaits(description, arrays)
         return cls(table), (box,)
 
     def init(self) -> GaitState:

@@ -45,10 +45,14 @@ LAST_COMMAND = "last_command"
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""Maximum difference from NumPy's commands [rad, rad/s]; if it is larger, no file is written."""
+"""Maximum difference from the NumPy commands [rad, rad/s]; if it is larger, no file is written."""
 
 EPISODE = 240
 """Number of actions in the comparison."""
+
+
+State = dict[str, np.ndarray]
+"""State of the file by the names of its inputs."""
 
 
 class Exported(NamedTuple):
@@ -57,7 +61,7 @@ class Exported(NamedTuple):
     bytes: int
     opset: int
     worst: float
-    """Largest difference from softfin's own commands during the check [rad, rad/s]."""
+    """Largest difference from the softfin commands during the check [rad, rad/s]."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -128,8 +132,9 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     worst = _difference(data, controller)
     if not worst <= MAX_COMMAND_DIFFERENCE:
         raise RunError(
-            f"{file}: not written: onnxruntime's commands differ from softfin's by {worst:.2g} "
-            f"(limit {MAX_COMMAND_DIFFERENCE:g}); use a different version of onnxruntime"
+            f"{file}: not written: the commands from onnxruntime differ from the softfin commands "
+            f"by {worst:.2g} (limit {MAX_COMMAND_DIFFERENCE:g}); use a different version of "
+            "onnxruntime"
         )
     write_file(file, data)
     return Exported(
@@ -151,15 +156,15 @@ def _check_extra() -> None:
         ) from None
 
 
-def _initial_state(controller: LoadedController) -> dict[str, np.ndarray]:
-    """Return the initial values of the state in the file: the step state and the last command."""
+def _initial_state(controller: LoadedController) -> State:
+    """Return the initial values of the file's state: that of the step, and the last command."""
     state = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     at_rest = np.array((controller.limits.rest_angle, controller.limits.velocity_min), np.float32)
     return state | {LAST_COMMAND: at_rest}
 
 
-def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -> Any:
-    """Return the ONNX model of the step; its inputs have the names and shapes used in the file."""
+def _build_graph(controller: LoadedController, initial: State) -> Any:
+    """Return the ONNX model of the step, with the names and shapes of the file's inputs."""
     import ndonnx
 
     limits = controller.limits
@@ -183,8 +188,10 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     outputs = {}
     command: Any = action_to_command(limits, action)
     for index, name in enumerate(COMMAND_OUTPUTS):
-        low, high = _round_inwards(*ranges[index])
-        value = ndonnx.clip(command[index], float(low), float(high))
+        low, high = map(np.float32, ranges[index])
+        # One float32 inwards, because rounding may have moved the ends beyond the limits.
+        least = float(np.nextafter(low, high))
+        value = ndonnx.clip(command[index], least, float(np.nextafter(high, low)))
         outputs[name] = ndonnx.where(is_usable, value, last_command[index])
     for name, value in after._asdict().items():
         value = ndonnx.reshape(value, initial[name].shape)
@@ -193,18 +200,7 @@ def _build_graph(controller: LoadedController, initial: dict[str, np.ndarray]) -
     return ndonnx.build(measured | state, outputs)
 
 
-def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Round the range inwards to float32 so that clipped commands never exceed the limits."""
-    first = np.float32(low)
-    last = np.float32(high)
-    if first < low:
-        first = np.nextafter(first, np.float32(np.inf))
-    if last > high:
-        last = np.nextafter(last, np.float32(-np.inf))
-    return first, last
-
-
-def _describe(model: Any, controller: LoadedController, initial: dict[str, np.ndarray]) -> None:
+def _describe(model: Any, controller: LoadedController, initial: State) -> None:
     """Add the metadata and the initial values of the state to a model, and check it."""
     import onnx
 
@@ -240,17 +236,17 @@ def _metadata(controller: LoadedController) -> JsonObject:
         "fin": artifact.fin,
         "force_frame": FORCE_FRAME,
         "inputs": {
-            "angle": "angle of the shaft, the last reading [rad]; before the first, "
-            "the angle at rest",
-            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; "
-            "not used yet",
+            "angle": "last reading of the shaft angle [rad]; before the first reading, the angle "
+            "at rest",
+            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first "
+            "action; not used yet",
             "reference": "(x, y), mean force to hold [N]",
         },
         "unusable_inputs": "while the angle or the reference is NaN, infinite or beyond "
         f"{MAX_MEASUREMENT:g}, the last command is repeated and the state does not change",
         "outputs": {
             "command_angle": "[rad]",
-            "command_velocity": "velocity limit of the motion to it [rad/s]",
+            "command_velocity": "velocity limit of the motion to this angle [rad/s]",
         },
         "weights_sha256": artifact.weights_sha256,
     }

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.core.errors import CoverageError
 from softfin.gaits.reachable import (
@@ -13,6 +12,7 @@ from softfin.gaits.reachable import (
     PAPER_REFERENCES,
     Cell,
     Cells,
+    Forces,
     ForceVector,
     Reachable,
     directions,
@@ -74,8 +74,8 @@ def _scaled_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
     return _rounded(np.asarray(spread, float), natural)
 
 
-def _rounded(forces: Float[np.ndarray, "forces 2"], scale: float) -> tuple[ForceVector, ...]:
-    """Round forces to a few percent of the scale; -0 becomes 0."""
+def _rounded(forces: Forces, scale: float) -> tuple[ForceVector, ...]:
+    """Round forces to a few percent of the scale, without -0."""
     decimals = max(force_decimals(scale) - 1, 0)
     return tuple((round(x, decimals) + 0.0, round(y, decimals) + 0.0) for x, y in forces.tolist())
 
@@ -87,7 +87,7 @@ def controller_cells(controller: object) -> Cells:
 
 
 def reachable_set(controller: object) -> Reachable | None:
-    """Return the reachable mean forces of the controller's fin, if known."""
+    """Return the reachable mean forces of the controller fin, if known."""
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
 
@@ -112,7 +112,7 @@ def resolve_reference(
 ) -> tuple[ForceVector, str | None]:
     """Return the reference to track, with a warning if it differs from the requested one.
 
-    An unreachable reference is replaced by the nearest reachable force within the controller's
+    An unreachable reference is replaced by the nearest reachable force within the controller
     cells; with `strict`, it raises CoverageError instead. A reference for which the controller was
     not trained always raises CoverageError.
     """
@@ -123,17 +123,15 @@ def resolve_reference(
     if (x, y) == tuple(reference):
         return reference, None
     problem = (
-        f"reference {format_force(reference)} N: this fin cannot produce it; the nearest reachable "
-        f"force in this controller's range is ({x:.3f}, {y:.3f}) N"
+        f"reference {format_force(reference)} N: unreachable for this fin; the nearest reachable "
+        f"force in the range of this controller is ({x:.3f}, {y:.3f}) N"
     )
     if strict:
         raise CoverageError(f"{problem}; use that force, or remove --strict")
     return (x, y), f"{problem}, which is tracked instead"
 
 
-def nearest_trackable(
-    controller: Any, forces: Float[np.ndarray, "forces 2"]
-) -> Float[np.ndarray, "forces 2"]:
+def nearest_trackable(controller: Any, forces: Forces) -> Forces:
     """Replace unreachable forces by the nearest reachable ones within the controller's cells.
 
     Raises CoverageError if the controller was not trained for a reachable force, or if it was
@@ -154,9 +152,9 @@ def nearest_trackable(
         x, y = reachable.nearest(outside).tolist()
         raise CoverageError(
             f"reference {format_force(outside)} N: this fin can produce neither this force nor any "
-            f"other that the controller was trained for (nearest cell {nearest_cell}); the nearest "
-            f"reachable force is ({x:.3f}, {y:.3f}) N; train the controller for reachable forces "
-            "(run softfin map to plot them)"
+            f"other force that the controller was trained for (nearest cell {nearest_cell}); the "
+            f"nearest reachable force is ({x:.3f}, {y:.3f}) N; train the controller for reachable "
+            "forces (run softfin map to plot them)"
         )
     for x, y in near.tolist():
         controller.check((x, y))

@@ -25,7 +25,7 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
 CONTROLLER_KIND = "controller"
-AGAIN = "copy the folder again, or map or train again"
+AGAIN = "copy the folder again, or run softfin map or train again"
 """Suggested fix for a damaged folder."""
 
 CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, GridStep, GaitStep)}
@@ -59,8 +59,8 @@ def build_controller(
     description: Mapping[str, Any],
     arrays: NamedArrays,
     source: str,
-    name: str = CONTROLLER_KIND,
-    digest: str = "",
+    name: str,
+    digest: str,
 ) -> LoadedController:
     """Build a controller from its description and arrays; error messages start with `source`."""
     kind = str(description.get("controller"))
@@ -72,9 +72,10 @@ def build_controller(
     try:
         limits = Limits.of(description["limits"])
         clock = ActionClock.model_validate(description["clock"])
+        has_gaits = kind == GaitStep.kind
         region = description.get("reachable")
-        # Gait controllers store no cells; their only cell is the bounding box of the lattice.
-        listed = [] if kind == GaitStep.kind else description["cells"]
+        # Gait controllers store no cells; theirs is the bounding box of their lattice.
+        listed = [] if has_gaits else description["cells"]
         cells = tuple(map(Cell.model_validate, listed))
         weights = {name: np.array(array, np.float32) for name, array in arrays.items()}
         step, cells = CONTROLLER_STEPS[kind].load(description, weights, limits, cells)
@@ -82,7 +83,8 @@ def build_controller(
             description.get("training_range")
         )
         fin = pydantic.TypeAdapter(str | None).validate_python(description.get("fin"))
-        reachable = None if region is None else Reachable.from_dict(region)
+        needs_region = has_gaits or region is not None
+        reachable = Reachable.from_dict(region) if needs_region else None
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         at = ".".join(map(str, first["loc"])) or error.title
@@ -103,7 +105,7 @@ def write_controller(
     limits: Limits,
     keys: Mapping[str, object],
     arrays: NamedArrays,
-    extra_files: Callable[[Path], None] | None,
+    extra_files: Callable[[Path], None],
     overwrite: bool,
     clock: ActionClock,
 ) -> None:

@@ -119,7 +119,7 @@ def configure(base: Config, given: Settings, **options: object) -> Config:
     if isinstance(given, Configuration):
         if type(given) is not type(base):
             raise ConfigurationError(
-                f"config: a {type(given).__name__}; use a {type(base).__name__}"
+                f"config: is of type {type(given).__name__}; use a {type(base).__name__}"
             )
         base = given
     elif isinstance(given, Changes):

@@ -25,7 +25,7 @@ LOAD_CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_nm")
 and z [N m]. The last one is the torque about the shaft."""
 
 CURRENT_CHANNEL = "current_a"
-"""Current of the drive's motor [A]."""
+"""Current of the drive motor [A]."""
 
 VOLTAGE_CHANNEL = "voltage_v"
 """Supply voltage of the drive [V]."""

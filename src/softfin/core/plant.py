@@ -152,14 +152,6 @@ def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]
     return state, jax.tree.map(lambda x: x[0], reading)
 
 
-def _tick_with_true_force(
-    plant: Plant, state: State, command: Command
-) -> tuple[State, tuple[Reading, Array | None]]:
-    state, reading = plant.advance(state, command, 1)
-    true_force = plant.true_force(state) if isinstance(plant, TrueForcePlant) else None
-    return state, (jax.tree.map(lambda x: x[0], reading), true_force)
-
-
 def rest_command(limits: Limits) -> Command:
     """Return the command that keeps a fin at rest: its rest angle at the lowest velocity."""
     return Command(jnp.float32(limits.rest_angle), jnp.float32(limits.velocity_min))
@@ -188,7 +180,12 @@ def hold_action_with_true_force(
     if not isinstance(plant, TrueForcePlant):
         state, reading = hold_action(plant, state, command, ticks, rows)
         return state, (reading, None)
-    return repeat(partial(_tick_with_true_force, plant, command=command), state, ticks, rows)
+
+    def tick(state: State) -> tuple[State, tuple[Reading, Array | None]]:
+        state, reading = _tick(plant, state, command)
+        return state, (reading, plant.true_force(state))
+
+    return repeat(tick, state, ticks, rows)
 
 
 def repeat(

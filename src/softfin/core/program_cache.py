@@ -44,8 +44,9 @@ def describe_cache() -> str:
     if folder is None:
         return f"Compiled programs are not cached; set {SOFTFIN_VARIABLE}=FOLDER to cache them."
     return (
-        f"Compiled programs are cached in {folder}, which you can delete at any time.\n"
-        f"Set {SOFTFIN_VARIABLE}=FOLDER to use another folder, {SOFTFIN_VARIABLE}={OFF} to disable."
+        f"Compiled programs are cached in {folder}, which you can delete at any time.\nSet "
+        f"{SOFTFIN_VARIABLE}=FOLDER to use a different folder, {SOFTFIN_VARIABLE}={OFF} to turn "
+        "the cache off."
     )
 
 

@@ -109,10 +109,14 @@ REST_TOLERANCE_RAD = 0.03
 closer to the end of a range."""
 
 ALLOWED_LIMITS = (
-    f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
-    f"{MAX_ANGLE_RAD:.3f} rad and "
-    f"0 <= velocity_min <= velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s, and 0 < velocity_max"
+    f"the limits of a fin must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
+    f"{MAX_ANGLE_RAD:.3f} rad and 0 <= velocity_min <= velocity_max <= {MAX_VELOCITY_RAD_S:g} "
+    "rad/s, and 0 < velocity_max"
 )
+
+
+LIMIT_KEYS = ("angle_min_rad", "angle_max_rad", "velocity_min_rad_s", "velocity_max_rad_s")
+"""Keys of `Limits` in JSON."""
 
 
 class Limits(NamedTuple):
@@ -126,17 +130,14 @@ class Limits(NamedTuple):
 
     def to_dict(self) -> dict[str, float]:
         """Convert for JSON, with units in the names."""
-        named = self._asdict().items()
-        return {
-            f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named
-        }
+        return dict(zip(LIMIT_KEYS, map(float, self), strict=True))
 
     @classmethod
     def of(cls, description: object) -> "Limits":
         """Build from the result of `to_dict`; raises ValueError with the allowed values if it is
         invalid."""
         values = []
-        for name in cls(0, 0, 0, 0).to_dict():
+        for name in LIMIT_KEYS:
             value = description.get(name) if isinstance(description, dict) else None
             # In Python, `true` is an int, and an int can be larger than any float.
             if not (isinstance(value, float) or (type(value) is int and abs(value) < 1e300)):
@@ -192,16 +193,13 @@ def command_limits(logs: Sequence[Log]) -> Limits:
     A range that ends close to angle 0 is extended to it: random commands never quite reach the end
     of a range, but the fin rests there.
     """
-    angles = [np.asarray(log.command.angle, np.float32) for log in logs]
-    velocities = [np.asarray(log.command.velocity, np.float32) for log in logs]
-    angle_min = min(float(angle.min()) for angle in angles)
-    angle_max = max(float(angle.max()) for angle in angles)
+    commands = np.concatenate([np.stack(log.command) for log in logs], axis=1, dtype=np.float32)
+    angle_min, velocity_min = commands.min(axis=1).tolist()
+    angle_max, velocity_max = commands.max(axis=1).tolist()
     if 0 < angle_min <= REST_TOLERANCE_RAD:
         angle_min = 0.0
     if -REST_TOLERANCE_RAD <= angle_max < 0:
         angle_max = 0.0
-    velocity_min = min(float(velocity.min()) for velocity in velocities)
-    velocity_max = max(float(velocity.max()) for velocity in velocities)
     return Limits(angle_min, angle_max, velocity_min, velocity_max)
 
 

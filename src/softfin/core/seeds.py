@@ -7,4 +7,4 @@ from softfin.core.errors import ConfigurationError
 def check_seed(seed: int | None) -> None:
     """Raise ConfigurationError if a random number generator would not accept the seed."""
     if seed is not None and not 0 <= seed < SEEDS:
-        raise ConfigurationError(f"--seed {seed}: must be a whole number from 0 to {SEEDS - 1}")
+        raise ConfigurationError(f"--seed {seed}: must be an integer from 0 to {SEEDS - 1}")

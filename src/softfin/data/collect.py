@@ -105,14 +105,15 @@ def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
             if bad.size:
                 raise PlantError(
                     f"log {name}, row {bad[0, 0]}: the plant's {field} is {values[tuple(bad[0])]}; "
-                    "every reading must be finite under every command within the plant's limits"
+                    "every reading must be finite under every command within the limits of the "
+                    "plant"
                 )
         time = np.arange(1, log.rows + 1) / RATE_HZ
         late = np.flatnonzero(np.abs(log.reading.time - time) > TICK_S / 2)
         if late.size:
             row = late[0]
             raise PlantError(
-                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, "
-                f"expected {time[row]:.2f} s; time must start at 0 and advance by 10 ms per tick"
+                f"log {name}, row {row}: the plant time is {log.reading.time[row]:.4f} s, expected "
+                f"{time[row]:.2f} s; time must start at 0 and advance by 10 ms per tick"
             )
         yield log._replace(reading=log.reading._replace(time=time))

@@ -15,7 +15,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits
 
 Commands = Callable[[PRNGKeyArray, int, Limits], Command]
-"""Function that generates the commands of a log, one per tick, from a key, the number of ticks and
+"""Function that generates the commands for a log, one per tick, from a key, the number of ticks and
 the limits; it must be traceable by JAX."""
 
 

@@ -96,7 +96,7 @@ def _saved_options(path: Path, given: ImportConfig | None, dataset: Dataset | No
     if dataset is not None:
         imported = dataset.description.get("options", {})
         saved = ImportConfig(ignore_errors=imported.get("ignore_errors", ()))
-    elif file.is_file():
+    if file.is_file():
         saved = saved.merged(read_yaml(file), str(file))
     return saved.merged(given.model_dump(exclude_unset=True), "options") if given else saved
 

@@ -14,7 +14,7 @@ MIN_STROKE_RAD = 0.3
 accelerated."""
 MIN_STROKES = 10
 """Minimum number of strokes for a median."""
-SHORTEST_PERCENT = 1
+SHORT_PERCENT = 1
 """Percentile of the time between two commands that is used as the minimum, because a few commands
 may follow each other by accident."""
 
@@ -43,5 +43,5 @@ def stroke_time(logs: Sequence[Log]) -> float | None:
     if len(times) < MIN_STROKES:
         return None
     median = float(np.median(times))
-    shortest_s = TICK_S * float(np.percentile(holds, SHORTEST_PERCENT))
+    shortest_s = TICK_S * float(np.percentile(holds, SHORT_PERCENT))
     return round(max(median, shortest_s), 3) if np.isfinite(median) else None

@@ -146,8 +146,7 @@ class EmulatedAxia80(EmulatedSensor[bytes]):
             samples = self._samples(stream.began + stream.sent / self.rate_hz)
             stream.sent += 1
             if not self.are_values_frozen:
-                fx, fy, fz, tx, ty, tz = (clipped + NOISE[samples % len(NOISE)]).tolist()
-                self._counts = fx, fy, fz, tx, ty, tz
+                self._counts = tuple((clipped + NOISE[samples % len(NOISE)]).tolist())
             record = RdtRecord(stream.sent % 2**32, samples % 2**32, status, self._counts)
             datagrams.append(encode_record(record))
         return datagrams

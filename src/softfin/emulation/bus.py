@@ -15,19 +15,19 @@ from collections.abc import Iterator
 
 import can
 
-HOST = "127.0.0.1"
+from softfin.core.choices import LOOPBACK
+
 STOP_CHECK_S = 0.2
 _SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?){0,8}) ?>")
 
 
 class SocketcandServer(socketserver.ThreadingTCPServer):
-    """Server for one channel and any number of clients, until `server_close`; port 0 selects a free
-    port."""
+    """Server for one channel and any number of clients, on a free port, until `server_close`."""
 
     daemon_threads = allow_reuse_address = True
 
-    def __init__(self, channel: str, port: int = 0) -> None:
-        super().__init__((HOST, port), _Client)
+    def __init__(self, channel: str) -> None:
+        super().__init__((LOOPBACK, 0), _Client)
         self.channel = channel
         self.port: int = self.server_address[1]
         self.ending = threading.Event()

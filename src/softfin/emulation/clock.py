@@ -33,7 +33,7 @@ class SimulatedClock(SimulatedTime, Computer):
         pages: dict[str, bytes] | None = self.shared.get(("http", host, port))
         if pages is None:
             raise DeviceError(
-                f"http://{host}:{port}{path}: cannot read the force sensor's page (no server); "
-                "check its power, cable, address and http_port"
+                f"http://{host}:{port}{path}: cannot read the web page of the force sensor (no "
+                "server); check its power, cable, address and http_port"
             )
         return pages.get(path)

@@ -113,8 +113,8 @@ def drive_config(name: str, tank: Tank | None, real_time: bool) -> DriveConfig:
             values["zero_offset_rad"] = limits.rest_angle
         elif limits.rest_angle != 0:
             raise ConfigurationError(
-                f"tank: its range of angles, {limits.angle_min:g} to {limits.angle_max:g} rad, "
-                f"must contain 0 for an emulated drive of type {name}; use --drive epos2"
+                f"tank: its angle range, {limits.angle_min:g} to {limits.angle_max:g} rad, must "
+                f"contain 0 for an emulated drive of type {name}; use --drive epos2"
             )
     config: DriveConfig = kind.config.build(values, "emulated drive")
     return config

@@ -236,19 +236,16 @@ class EmulatedServo:
         if address + size > TABLE_BYTES:
             return self._status(b"", Refusal.ACCESS)
         self._measure()
-        return self._status(
-            bytes(self.table[self._resolve(each)] for each in range(address, address + size))
-        )
+        selected = map(self._resolve, range(address, address + size))
+        return self._status(bytes(self.table[each] for each in selected))
 
     def _resolve(self, address: int) -> int:
         """Return the address that an indirect address selects."""
         offset = address - protocol.INDIRECT_DATA
         if not 0 <= offset < 28:
             return address
-        selected: int = struct.unpack_from(
-            "<H", self.table, protocol.INDIRECT_ADDRESS + 2 * offset
-        )[0]
-        return selected
+        place = protocol.INDIRECT_ADDRESS + 2 * offset
+        return int.from_bytes(self.table[place : place + 2], "little")
 
     def _measure(self) -> None:
         """Update the entries that the servo measures."""
@@ -338,5 +335,4 @@ class EmulatedServo:
 
 
 def _value(table: bytearray, entry: Entry) -> int:
-    value: int = entry.layout.unpack_from(table, entry.address)[0]
-    return value
+    return int(entry.layout.unpack_from(table, entry.address)[0])

@@ -85,11 +85,6 @@ class SimulatedSocket:
         self._peer: Address | None = None
         self._received: deque[tuple[bytes, float, Address]] = deque()
 
-    @property
-    def has_room(self) -> bool:
-        """Whether the buffer has space for another datagram."""
-        return len(self._received) * TRUESIZE_BYTES <= 2 * RMEM_MAX_BYTES
-
     def bind(self, address: Address) -> None:
         """Move to an address; an empty host is the loopback address, and port 0 a free one."""
         del self._clock.shared[self.address]
@@ -126,8 +121,10 @@ class SimulatedSocket:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
         # A connected socket receives only from its peer.
-        if receiver is not None and receiver._peer in (None, self.address) and receiver.has_room:
-            receiver._received.append((bytes(data), self._clock.wall(), self.address))
+        if receiver is not None and receiver._peer in (None, self.address):
+            buffered_bytes = len(receiver._received) * TRUESIZE_BYTES
+            if buffered_bytes <= 2 * RMEM_MAX_BYTES:
+                receiver._received.append((bytes(data), self._clock.wall(), self.address))
         return len(data)
 
     def recvfrom(self, size: int) -> tuple[bytes, Address]:

@@ -15,9 +15,10 @@ from typing import Any
 
 import yaml
 
+from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
-from softfin.emulation.bus import HOST, SocketcandServer
+from softfin.emulation.bus import SocketcandServer
 from softfin.emulation.clock import SimulatedClock
 from softfin.emulation.device import (
     DRIVES,
@@ -91,7 +92,7 @@ class EmulatedRig(contextlib.ExitStack):
         """Describe the addresses of the rig."""
         place = "in this process " if self.clock.is_simulated else ""
         if self.server is not None:
-            place = f"socketcand {HOST}:{self.server.port}"
+            place = f"socketcand {LOOPBACK}:{self.server.port}"
         drive, sensor = (
             ", ".join(f"{name} {value}" for name, value in device.address().items() if value)
             for device in (self.drive, self.sensor)
@@ -102,7 +103,7 @@ class EmulatedRig(contextlib.ExitStack):
         """Return the contents of the rig file, with `changes`."""
         bus: JsonObject = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:
-            options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
+            options = {"host": LOOPBACK, "port": self.server.port, "tcp_tune": True}
             bus |= {"interface": "socketcand", "options": options}
         values = _rig_values(self._drive, bus, self._sensor)
         values["drive"] |= self.drive.address()
@@ -213,7 +214,7 @@ def write_simulated(
         sensor_config(sensor),
     )
     rig["emulation"] = {"seed": seed, "tank": values}
-    write_rig(path, rig, "An emulated rig, run by each command in simulated time")
+    write_rig(path, rig, "An emulated rig, simulated by each command that uses it")
 
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import select
-import threading
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
@@ -84,7 +83,7 @@ class EmulatedStream(EmulatedSensor[Record]):
         """Send a record, which is lost if nobody reads it; may raise OSError or DeviceError."""
 
     def _run(self) -> None:
-        for number in _iterate_due(self._clock, self._closing, lambda: self.rate_hz):
+        for number in self._due_numbers():
             if not self.are_values_frozen:
                 noise = LOAD_NOISE[number % len(LOAD_NOISE)]
                 load = self.measure() + noise
@@ -97,18 +96,15 @@ class EmulatedStream(EmulatedSensor[Record]):
                 with contextlib.suppress(OSError, DeviceError):
                     self.send(sent)
 
-
-def _iterate_due(
-    clock: Clock, closing: threading.Event, rate_hz: Callable[[], float]
-) -> Iterator[int]:
-    """Yield the numbers of the records that have become due, at a rate that may change, until
-    `closing` is set; record k is due (k + 1) / rate after the start."""
-    started = clock()
-    sent = 0
-    while not closing.wait(max(0.002, 1 / rate_hz())):
-        due = int((clock() - started) * rate_hz())
-        yield from range(sent, due)
-        sent = due
+    def _due_numbers(self) -> Iterator[int]:
+        """Yield the numbers of the records that have become due, at a rate that may change, until
+        the sensor is closed; record k is due (k + 1) / rate after the start."""
+        started = self._clock()
+        sent = 0
+        while not self._closing.wait(max(0.002, 1 / self.rate_hz)):
+            due = int((self._clock() - started) * self.rate_hz)
+            yield from range(sent, due)
+            sent = due
 
 
 class Pty:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
-from softfin.core.clock import REAL, Clock
+from softfin.core.clock import Clock
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
@@ -23,7 +23,7 @@ from softfin.tank.drive import AMPERE_PER_NM
 class TankFin:
     """A virtual tank that implements the `EmulatedFin` protocol."""
 
-    def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
+    def __init__(self, tank: Tank, seed: int, clock: Clock) -> None:
         self.tank = tank
         self._clock = clock
         self._lock = threading.RLock()
@@ -129,12 +129,6 @@ def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[ja
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive
-    sample = [
-        read.angle,
-        read.velocity,
-        drive.profile_angle,
-        drive.torque,
-        read.force[0],
-        read.force[1],
-    ]
-    return state, jnp.stack([jnp.asarray(value) for value in sample])
+    return state, jnp.array(
+        [read.angle, read.velocity, drive.profile_angle, drive.torque, *read.force]
+    )

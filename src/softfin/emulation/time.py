@@ -27,12 +27,15 @@ RECHECK_S = 0.5
 """Real-time interval at which a waiting thread checks whether it is its turn [s], in case Ctrl-C
 lost its signal."""
 
+Condition = Callable[[], object]
+"""Function that returns whether a wait is over."""
+
 
 class _Member:
     """A thread and the condition that it waits for."""
 
     def __init__(self) -> None:
-        self.ready: Callable[[], object] = lambda: True
+        self.ready: Condition = lambda: True
         self.end = math.inf
         self.signal = threading.Lock()
         # Locked until it is this member's turn.
@@ -96,7 +99,7 @@ class SimulatedTime(Clock):
             self.go_on()
         return thread
 
-    def wait_for(self, ready: Callable[[], object], timeout: float | None = None) -> bool:
+    def wait_for(self, ready: Condition, timeout: float | None = None) -> bool:
         """Let the other members run until `ready()` or a timeout [s]; return whether it is
         ready."""
         if ready():
@@ -217,8 +220,8 @@ class _Condition(threading.Condition):
         before = self._news
         return bool(self.wait_for(lambda: self._news != before, timeout))
 
-    def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> Any:
-        # Release a re-entrant lock completely while waiting, as in threading.Condition.
+    def wait_for(self, predicate: Condition, timeout: float | None = None) -> Any:
+        # Release a re-entrant lock completely while waiting, as threading.Condition does.
         held = self._count
         self._count = 0
         self._owner = 0

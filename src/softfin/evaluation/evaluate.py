@@ -192,8 +192,8 @@ def score_controller(
     clock = controller_clock(controller)
     if seconds < min_seconds(clock):
         raise ConfigurationError(
-            f"seconds = {seconds}: too short for this controller's clock ({clock}); use at least "
-            f"{min_seconds(clock)}"
+            f"seconds = {seconds}: too short for the clock of this controller ({clock}); use at "
+            f"least {min_seconds(clock)}"
         )
     experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
     constant, *moving = run_together(controller, plant, experiments, keys)
@@ -239,7 +239,7 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
         if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
             raise PlantError(
                 f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
-                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
+                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train the controller in a "
                 "surrogate of this plant"
             )
 
@@ -254,8 +254,8 @@ def together(evaluations: Sequence[Evaluation]) -> Evaluation:
     for each in evaluations[1:]:
         if not _track_the_same(first, each):
             raise ConfigurationError(
-                "controllers: they track different forces, because their ranges differ; evaluate "
-                "them separately, or set --reference to forces that all of them can track"
+                "controllers: their ranges differ, so they track different forces; evaluate them "
+                "separately, or set --reference to forces that all of them can track"
             )
     moving = []
     for same in zip(*(evaluation.moving for evaluation in evaluations), strict=True):

@@ -151,11 +151,12 @@ def _resolve_signal(
     )
     if strict:
         raise CoverageError(
-            f"{problem}; remove --strict to track the nearest reachable forces in this "
-            "controller's range instead"
+            f"{problem}; remove --strict to track the nearest reachable forces in the range of "
+            "this controller instead"
         )
     return near, (
-        f"{problem}; the nearest reachable forces in this controller's range are tracked instead"
+        f"{problem}; the nearest reachable forces in the range of this controller are tracked "
+        "instead"
     )
 
 

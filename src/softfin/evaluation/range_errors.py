@@ -92,7 +92,7 @@ def draw_references(
     if len(references) < count:
         raise CoverageError(
             f"random = {count}: this fin can reach only {len(references)} of {len(forces)} "
-            "references drawn from the controller's range; train the controller for reachable "
+            "references drawn from the range of the controller; train the controller for reachable "
             "forces (run softfin map to plot them)"
         )
     return references

@@ -229,6 +229,6 @@ def outside_warning(distance: Float[np.ndarray, "references ticks"]) -> str | No
     if fraction <= MAX_OUTSIDE_FRACTION:
         return None
     return (
-        f"{fraction:.1%} of the samples are outside the surrogate's training data (distance up "
-        f"to {distance.max():.1f}; the edge is at 1), so its forces there are extrapolated"
+        f"{fraction:.1%} of the samples are outside the training data of the surrogate (distance "
+        f"up to {distance.max():.1f}; the edge is at 1), so the forces there are extrapolated"
     )

@@ -64,7 +64,7 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
         else f"a {type(plant).__name__}"
     )
     raise PlantError(
-        f"plant {name}: {kind} cannot run in the page, which supports virtual tanks and streaming "
+        f"plant {name}: {kind} cannot run on the page, which supports virtual tanks and streaming "
         "surrogates; use --plant tank, or a surrogate from softfin fit --model streaming"
     )
 

@@ -42,8 +42,8 @@ class FollowingNet {
     this.coefficients = {};
     for (const name of ["gain", "zero", "delay", "velocity_factor", "velocity_limit", "acceleration", "lag"]) this.coefficients[name] = pick(`profile.${name}`).values[0];
     this.scales = scales;
-    this.angle = rest("profile.angle")[0];
-    this.velocity = rest("profile.velocity")[0];
+    this.angle = rest("profile.motion.angle")[0];
+    this.velocity = rest("profile.motion.velocity")[0];
     const velocities = rest("profile.waiting.velocity");
     this.waiting = Array.from(rest("profile.waiting.angle"), (angle, i) => ({ angle, velocity: velocities[i] }));
     this.memory = { even: rest("memory.even"), odd: rest("memory.odd") };

@@ -138,7 +138,7 @@ def star_warning(force_map: ForceMap, tolerance_n: float) -> str | None:
     if max(outside, unmet) <= NOT_STAR:
         return None
     return (
-        "map: the region is stored as star-shaped about its centre, but that of this fin is not: "
-        f"{outside:.0%} of the forces that gaits produce are outside the stored region, and no "
-        f"gait was found for {unmet:.0%} of the forces inside it"
+        "map: the region is stored as star-shaped about its centre, but the region of this fin is "
+        f"not: {outside:.0%} of the forces that gaits produce are outside the stored region, and "
+        f"no gait was found for {unmet:.0%} of the forces inside it"
     )

@@ -56,12 +56,11 @@ class GaitTable(NamedTuple):
         x, y = np.maximum(2, np.ceil(size / spacing_n - 1e-6).astype(int) + 1).tolist()
         return cls.empty(cell.low, cell.high, (x, y), gait_actions)
 
-    def halved(self, times: int = 1) -> "GaitTable":
-        """Return an empty table over the same box, with the spacing halved `times` times."""
+    def halved(self) -> "GaitTable":
+        """Return an empty table over the same box, with half the spacing."""
         x, y = self.nodes
-        x = (x - 1) * 2**times + 1
-        y = (y - 1) * 2**times + 1
-        return self._replace(actions=np.zeros((x, y, *self.actions.shape[2:]), np.float32))
+        shape = (2 * x - 1, 2 * y - 1, *self.actions.shape[2:])
+        return self._replace(actions=np.zeros(shape, np.float32))
 
     @property
     def nodes(self) -> tuple[int, int]:
@@ -124,11 +123,6 @@ class GaitSearchResult(NamedTuple):
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
-def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
-    # Also false for NaN, because all comparisons with NaN are false.
-    return bool(((-np.inf < low) & (low <= high) & (high < np.inf)).all())
-
-
 class ForceMap(NamedTuple):
     """Reachable mean forces and their gaits."""
 
@@ -159,52 +153,41 @@ class ForceMap(NamedTuple):
             "smoothness_n": gaits.smoothness,
         }
 
-    @classmethod
-    def from_dict(cls, description: Mapping[str, Any], arrays: NamedArrays) -> "ForceMap":
-        """Build a map from the results of `to_dict` and `arrays`.
 
-        Raises:
-            KeyError, TypeError, ValueError: If the data do not describe a map.
-        """
-        lattice = description["lattice"]
-        nodes = tuple(map(int, lattice["nodes"]))
-        actions = np.asarray(arrays["actions"], np.float32)
-        force = np.asarray(arrays["force_n"], np.float32)
-        smoothness = np.asarray(arrays["smoothness_n"], np.float32)
-        low = np.asarray(lattice["low_n"], np.float32)
-        high = np.asarray(lattice["high_n"], np.float32)
-        if low.shape != (2,) or high.shape != (2,) or not _is_box(low, high):
-            raise ValueError(
-                f"lattice from {low.tolist()} to {high.tolist()} N: must have two corners with low "
-                "<= high"
-            )
-        gait_actions = actions.shape[2] if actions.ndim == 4 else 0
-        shapes = (*nodes, gait_actions, 2), (*nodes, 2), (*nodes, 2)
-        if (
-            len(nodes) != 2
-            or min(nodes) < 2
-            or gait_actions == 0
-            or (actions.shape, force.shape, smoothness.shape) != shapes
-        ):
-            raise ValueError(
-                f"gaits with the shape {actions.shape} do not fit a lattice of {nodes} nodes; a "
-                "lattice must have at least two nodes per side"
-            )
-        # The tolerance is 1e-5 because actions are rounded to float32.
-        if not (
-            np.isfinite(force).all()
-            and np.isfinite(smoothness).all()
-            and (abs(actions) <= 1 + 1e-5).all()
-        ):
-            raise ValueError(
-                "gaits or forces are not finite, or actions are outside [-1, 1], the limits of the "
-                "plant"
-            )
-        found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
-        clock = ActionClock.model_validate(description["clock"])
-        if clock.window_actions != gait_actions:
-            raise ValueError(
-                f"gaits of {gait_actions} actions do not fit the clock's window of "
-                f"{clock.window_actions}"
-            )
-        return cls(found, Reachable.from_dict(description["reachable"]), clock)
+def parse_gaits(description: Mapping[str, Any], arrays: NamedArrays) -> tuple[GaitTable, Cell]:
+    """Return the gaits of a map and the box of their lattice, from the results of
+    `ForceMap.to_dict` and `ForceMap.arrays`.
+
+    Raises:
+        KeyError, TypeError, ValueError: the data do not describe a map.
+    """
+    lattice = description["lattice"]
+    box = Cell.model_validate({"low": lattice["low_n"], "high": lattice["high_n"]})
+    nodes = tuple(map(int, lattice["nodes"]))
+    gait_actions = ActionClock.model_validate(description["clock"]).window_actions
+    actions = arrays["actions"]
+    force = arrays["force_n"]
+    smoothness = arrays["smoothness_n"]
+    shapes = (*nodes, gait_actions, 2), (*nodes, 2), (*nodes, 2)
+    if (
+        len(nodes) != 2
+        or min(nodes) < 2
+        or (actions.shape, force.shape, smoothness.shape) != shapes
+    ):
+        raise ValueError(
+            f"gaits with the shape {actions.shape} do not fit a lattice of {nodes} nodes and a "
+            f"clock with {gait_actions} actions per window; a lattice must have at least two nodes "
+            "per side"
+        )
+    # 1e-5, because actions are rounded to float32.
+    if not (
+        np.isfinite(force).all()
+        and np.isfinite(smoothness).all()
+        and (abs(actions) <= 1 + 1e-5).all()
+    ):
+        raise ValueError(
+            "gaits or forces are not finite, or actions are outside [-1, 1], the limits of the "
+            "plant"
+        )
+    low = np.asarray(box.low, np.float32)
+    return GaitTable(low, np.asarray(box.high, np.float32), actions), box

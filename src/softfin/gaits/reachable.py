@@ -25,7 +25,6 @@ ForceVector: TypeAlias = tuple[float | int, float | int]
 """(x, y) [N]."""
 
 Forces: TypeAlias = Float[np.ndarray, "*forces 2"]
-ForcePoints: TypeAlias = Float[np.ndarray, "..."]
 
 PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
 """Reference forces of the paper's Table II [N]."""

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.control.policy import PolicyMemory
@@ -54,14 +53,6 @@ Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
 the algorithm."""
 
 
-def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
-    """Return Adam with gradients clipped to a maximum norm."""
-    # Operations on all weights as one vector compile faster than one operation per array.
-    return optax.flatten(
-        optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5))
-    )
-
-
 class Rollout(NamedTuple):
     """Transitions of all environments, ``(time, environments, ...)``."""
 
@@ -80,6 +71,10 @@ class Rollout(NamedTuple):
     """Whether the environment was reset just before the action."""
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
+
+
+Acted: TypeAlias = tuple[EnvState, Rollout]
+"""State of the environments after some actions, and what was collected in them."""
 
 
 def start_episodes(
@@ -101,15 +96,13 @@ def start_episodes(
 
 def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
-) -> tuple[EnvState, Rollout]:
-    """Act for `cycles` clock cycles in each environment; environments are reset at the end of their
-    episodes."""
+) -> Acted:
+    """Take the actions of `cycles` cycles of the clock in each environment; environments are reset
+    at the end of their episodes."""
 
     clock = task.config.clock
 
-    def cycle(
-        env_state: EnvState, noise: Float[Array, "cycle environments actions"]
-    ) -> tuple[EnvState, Rollout]:
+    def cycle(env_state: EnvState, noise: Float[Array, "cycle environments actions"]) -> Acted:
         held = (noise, jnp.asarray(clock.ticks))
         env_state, steps = jax.lax.scan(
             lambda now, action: _act(task, policy, now, *action), env_state, held
@@ -131,7 +124,7 @@ def _act(
     env_state: EnvState,
     noise: Float[Array, "environments actions"],
     ticks: Ticks,
-) -> tuple[EnvState, Rollout]:
+) -> Acted:
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)

@@ -118,7 +118,7 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
             STATUS.release()
             yield line
     stop.ask(
-        "emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin"
+        "emergency_stop", "the terminal input ended or is not text, so no key could stop the fin"
     )
 
 

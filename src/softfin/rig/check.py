@@ -111,8 +111,8 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
         is_peak = name == "current_peak_a"
         if limit_a > own_a or (is_peak and limit_a == own_a):
             text = (
-                f"{name} {limit_a:g} A can never trip: the drive itself limits the current to "
-                f"{own_a:g} A; lower it"
+                f"{name} {limit_a:g} A can never trip: the drive limits the current to {own_a:g} "
+                "A; lower this limit"
             )
             yield CheckResult("safety", "note", text)
 
@@ -128,7 +128,8 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         return
     if proof is None:
         return
-    after = f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
+    after_ms = proof.faulted_after_s * 1000
+    after = f"drive stopped {after_ms:.0f} ms after the last heartbeat from softfin"
     yield CheckResult("own stop", "well", f"{after}, proved {proof.date}")
     moving = proof.moving
     if moving is None:

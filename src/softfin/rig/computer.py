@@ -121,7 +121,7 @@ class Computer(Clock):
         except (OSError, ValueError) as error:
             raise DeviceError(
                 f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
-                "and your permission to use it, and end other programs that use it"
+                "and your permission to use it, and close other programs that use it"
             ) from None
 
     def udp_socket(self) -> UdpSocket:

@@ -74,8 +74,8 @@ class RigConfig(RealFinConfig):
             raise ValueError("bus: missing required key")
         if self.safety.current_peak_a is None:
             raise ValueError(
-                "safety.current_peak_a and current_sustained_a are missing; set them to the "
-                "motor's peak and maximum continuous current [A], from its data sheet"
+                "safety.current_peak_a and current_sustained_a are missing; set them to the peak "
+                "and the maximum continuous current of the motor [A], from its data sheet"
             )
         for own, limit in (
             ("acceleration_rad_s2", "acceleration_rad_s2"),

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol
 from pydantic import Field, model_validator
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import SoftfinError
+from softfin.core.errors import DeviceError, SoftfinError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
@@ -27,6 +27,14 @@ MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 """Printed form of each result state."""
 MAX_BRAKE_S = 0.5
 """Maximum braking time from the highest velocity [s]; softfin does not wait any longer."""
+
+
+class RefusedError(DeviceError):
+    """A drive refused an instruction; `code` is the error number in its protocol."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class CheckResult(NamedTuple):

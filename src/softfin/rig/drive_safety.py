@@ -12,7 +12,7 @@ from softfin.rig.safety import OVERSHOOT_RAD
 
 Entry = TypeVar("Entry")
 
-UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
+UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop"
 
 MIN_ATTEMPTS = 3
 """Minimum number of attempts at each step of a stop; a single unanswered request may use up the
@@ -43,7 +43,7 @@ def check_settings(
         if value is None:
             notes.append(f"drive has no {setting.entry}; check this setting in {program}")
         elif value not in setting.allowed:
-            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix} in {program}")
+            raise RigError(f"drive setting {setting.entry} is {value}: {setting.fix} in {program}")
     return tuple(notes)
 
 

@@ -1,5 +1,5 @@
-"""The force sensor zero, which softfin subtracts from all readings. It is measured at rest, saved
-in the rig record, and used whenever the rig is opened."""
+"""The force sensor zero, which softfin subtracts from all readings: measured at rest, saved in
+the rig record, and used whenever the rig is opened."""
 
 import datetime
 
@@ -79,8 +79,8 @@ def check_force_zero(sensor: StreamedSensor, config: RigConfig) -> ForceZero | N
         return None
     if changes := describe_changes(zero.sensor, _settings(sensor)):
         raise RigError(
-            f"{sensor.name}: its settings have changed since its zero was set ({changes}); "
-            "let the fin rest in the water and run: softfin rig zero --force"
+            f"{sensor.name}: its settings have changed since it was zeroed ({changes}); let the "
+            "fin rest in the water and run: softfin rig zero --force"
         )
     sensor.restore_zero(zero.wrench)
     return zero

@@ -16,6 +16,9 @@ from softfin.core.quantities import Limits
 Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 """Force (x, y, z) [N] and torque (x, y, z) [N m] of the fin on its mount, in softfin's axes."""
 
+WrenchArray = Float[np.ndarray, " 6"]
+"""A wrench as an array, in the axes of softfin or of the sensor."""
+
 WRENCH_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 """Names of the channels of a wrench."""
 
@@ -127,10 +130,7 @@ def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
     return np.vstack([rows, np.cross(*rows)])
 
 
-def rotated(
-    wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]
-) -> Wrench:
-    """Return the wrench after rotating force and torque."""
+def rotated(wrench: Sequence[float] | WrenchArray, turn: Float[np.ndarray, "3 3"]) -> Wrench:
+    """Return the wrench with its force and torque rotated."""
     # Force and torque are the rows of a (2, 3) array.
-    fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
-    return fx, fy, fz, tx, ty, tz
+    return tuple((np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist())

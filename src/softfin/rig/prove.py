@@ -5,7 +5,6 @@ Nothing else stops a fin if its program is killed or hangs. Whether the drive st
 depends on its settings and firmware, so a rig with a file must not move its fin before this proof.
 """
 
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from softfin.rig.config import RigConfig
 from softfin.rig.device import Drive
 from softfin.rig.drive_safety import PausedError
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
+from softfin.storage.paths import typed_path
 
 
 def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
@@ -64,24 +64,19 @@ def check_proof(config: RigConfig, drive: Drive) -> StopProof | None:
     if config.file is None:
         return None
     proof = load_record(config.file).stop_proof
-    changes = "" if proof is None else _describe_changes(proof, config, drive)
-    if proof is not None and not changes:
-        return proof
     problem = "no proof yet that its drive stops if softfin dies"
-    if changes:
+    if proof is not None:
+        # A drive that has changed, or has other settings, may react differently.
+        then = proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node}
+        own = config.drive
+        now = drive.identity | {"heartbeat_s": own.heartbeat_s, "host_node": own.host}
+        changes = describe_changes(then, now)
+        if not changes:
+            return proof
         problem = f"the proof that its drive stops is no longer valid ({changes})"
     raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
 
 
-def _describe_changes(proof: StopProof, config: RigConfig, drive: Drive) -> str:
-    """Describe the changes to the drive and its settings since the proof, because the drive may now
-    react differently; empty if there are no changes."""
-    return describe_changes(
-        proof.drive | {"heartbeat_s": proof.heartbeat_s, "host_node": proof.host_node},
-        drive.identity | {"heartbeat_s": config.drive.heartbeat_s, "host_node": config.drive.host},
-    )
-
-
 def proving_command(file: Path, options: str = "--prove") -> str:
-    """Return the command that tests whether the drive of a rig stops by itself."""
-    return f"softfin rig check --rig {shlex.quote(str(file))} {options} --arm"
+    """Return the command for testing whether a rig drive stops by itself."""
+    return f"softfin rig check --rig {typed_path(file)} {options} --arm"

@@ -150,7 +150,7 @@ def prove_moving(
     with _switched_off_after_error(config, clock):
         for number in (signal.SIGKILL, signal.SIGSTOP) * deaths:
             way_rad = _try_death(config, clock, swing, number)
-            tell(f"{number.name}: turned {way_rad:.3f} rad, at rest when looked at")
+            tell(f"{number.name}: turned {way_rad:.3f} rad, at rest when checked")
             ways.append(way_rad)
     record = load_record(config.file)
     assert record.stop_proof is not None, "it was proved first"
@@ -271,7 +271,7 @@ def _look(
         drive.connect()
         if drive.reset_fault() is None:
             raise DeviceError(
-                f"drive ignores the death of its program: no fault after {silent_s:.1f} s; see "
+                f"drive did not react when softfin died: no fault after {silent_s:.1f} s; see "
                 "docs/rig-safety.md, and do not move the fin until this test passes"
             )
         drive.close()
@@ -282,15 +282,15 @@ def _look(
         later_rad = abs(drive.read_angle() - angle)
     finally:
         rig.close()
-    fix = "check the drive's reaction to a lost host, and update a servo's firmware"
+    fix = "check the reaction of the drive to a lost host; for a servo, update the firmware"
     if later_rad > STOPPED_RAD:
-        raise DeviceError(f"fin still turned {seen_s:.1f} s after softfin had died; {fix}")
+        raise DeviceError(f"fin was still turning {seen_s:.1f} s after softfin died; {fix}")
     way_rad = abs(angle - died_angle)
     most_rad = max(WAY_RAD, swing.velocity_rad_s * swing.silence_s)
     if way_rad > most_rad:
         raise DeviceError(
-            f"fin turned by {way_rad:.2f} rad after softfin had died, allowed are {most_rad:.2f}; "
-            f"{fix}"
+            f"fin turned by {way_rad:.2f} rad after softfin died; the maximum allowed is "
+            f"{most_rad:.2f}; {fix}"
         )
     return way_rad
 

@@ -9,7 +9,7 @@ import json
 from datetime import datetime
 from pathlib import Path
 
-from pydantic import Field, JsonValue
+from pydantic import ConfigDict, Field, JsonValue
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
@@ -18,6 +18,9 @@ from softfin.storage import artifact as artifacts
 
 class MovingProof(Configuration):
     """Result of killing and suspending a program that swings the fin."""
+
+    # Records of earlier versions have more fields.
+    model_config = ConfigDict(extra="ignore")
 
     deaths: int = Field(gt=0)
     """Number of times that the program was killed or suspended."""
@@ -32,7 +35,7 @@ class MovingProof(Configuration):
         """Short summary of the result."""
         return (
             f"the fin turned {self.way_median_rad:.2f} rad, at most {self.way_worst_rad:.2f} rad, "
-            f"after softfin had died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
+            f"after softfin died ({self.deaths} times, at {self.velocity_rad_s:.2f} rad/s)"
         )
 
 

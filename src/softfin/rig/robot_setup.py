@@ -45,6 +45,6 @@ class RobotSetup:
             if low < lowest - 1e-3 or high > highest + 1e-3:
                 raise RigError(
                     f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; "
-                    f"{self.machine.name} accepts {lowest:.5g} .. {highest:.5g}; train it within "
-                    "these limits, or widen the rig's"
+                    f"{self.machine.name} accepts {lowest:.5g} .. {highest:.5g}; train the "
+                    "controller within these limits, or widen the limits of the rig"
                 )

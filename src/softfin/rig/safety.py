@@ -109,8 +109,8 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
             return Trip(
                 "not_a_number",
                 f"commanded {name} {value} {unit}: this fin accepts only finite numbers; the "
-                "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
-                "first",
+                "weights or inputs of the controller may be damaged, so evaluate the controller on "
+                "a surrogate first",
             )
         # The tolerance allows for rounding errors of the controller.
         if not low - 1e-3 <= value <= high + 1e-3:
@@ -198,8 +198,8 @@ class Guard:
             return Trip(
                 "angle",
                 f"the shaft is at {sample.angle:.3f} rad, outside {low:.3f} to {high:.3f} rad; "
-                "turn it back, or if its zero is wrong, turn it to zero and run: "
-                "softfin rig zero --arm",
+                "turn the shaft back, or if its zero is wrong, turn it to zero and run: softfin "
+                "rig zero --arm",
             )
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip(
@@ -294,9 +294,9 @@ class Guard:
         if average > margin:
             return Trip(
                 "beyond_training",
-                f"{channel} was outside the surrogate's training range by {average:.2f} of its "
-                f"width for 1 s, but at most {margin:g} is allowed (safety.training_margin); fit "
-                "a surrogate to data with a wider range",
+                f"{channel} was outside the training range of the surrogate by {average:.2f} of "
+                f"its width for 1 s, but at most {margin:g} is allowed (safety.training_margin); "
+                "fit a surrogate to data with a wider range",
             )
         return None
 

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from softfin.core.clock import Clock
@@ -22,7 +21,7 @@ from softfin.rig.device import CheckResult, ForceReading, ForceSensorConfig
 from softfin.rig.filter import BRIDGED_S, AntiAlias, design
 from softfin.rig.frozen import FrozenChannels
 from softfin.rig.lock import DeviceLock
-from softfin.rig.machine import Wrench, rotated, rotation
+from softfin.rig.machine import Wrench, WrenchArray, rotated, rotation
 from softfin.rig.stream_clock import StreamClock
 
 FIRST_WAIT_S = 5.0
@@ -93,7 +92,7 @@ def queue_length(rate_hz: float) -> int:
 class TimedWrench(NamedTuple):
     """A usable record."""
 
-    wrench: Float[np.ndarray, " 6"]
+    wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]."""
     missing: int
     """Number of records that were lost or unusable since the previous record."""
@@ -189,15 +188,15 @@ class StreamedSensor:
         if self.config.is_filtered:
             self._filter = AntiAlias(self.config.rate_hz, self.config.cutoff_hz)
         self._place = 0
-        """Position of the latest record in the stream, counting lost records."""
-        self._newest: Float[np.ndarray, " 6"] | None = None
+        """Position of the latest record in the stream, counting lost ones."""
+        self._newest: WrenchArray | None = None
         self._received = 0
         self._first_arrival = self._arrival = self.clock()
         """Times at which the first and the latest usable record were processed [s]."""
         self._frozen = FrozenChannels(self._source.constant_s * self.config.rate_hz)
         self._force: tuple[float, Wrench] | None = None
         self._peak = np.zeros(6)
-        self._collected: list[Float[np.ndarray, " 6"]] | None = None
+        self._collected: list[WrenchArray] | None = None
 
     @property
     def identity(self) -> dict[str, str | None]:
@@ -311,7 +310,7 @@ class StreamedSensor:
         notes = list(self._source.notes())
         if self.config.rate_hz < RATE_HZ:
             notes.append(
-                f"{self.config.rate_hz:g} {self._source.unit}s per second are fewer than the log's "
+                f"{self.config.rate_hz:g} {self._source.unit}s per second are fewer than the "
                 f"{RATE_HZ} rows; the force in between is interpolated"
             )
         return tuple(f"{self.name}: {note}" for note in notes)
@@ -350,8 +349,8 @@ class StreamedSensor:
         latest = moment if self._force is None else max(moment, self._force[0])
         self._force = (latest, rotated(output - self._offset, self._rotation))
 
-    def _mean(self, seconds: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
-        """Return the mean and standard deviation of the next records, in the sensor axes."""
+    def _mean(self, seconds: float) -> tuple[WrenchArray, WrenchArray]:
+        """Return mean and standard deviation of the next records, in the sensor axes."""
         self.keep_up()
         collected = self._collected = []
         try:
@@ -402,9 +401,9 @@ class StreamedSensor:
             )
         if not is_fit:
             raise RigError(
-                f"{self.name}: {arrival_rate_hz:.0f} {unit}s arrive per second, but by their time "
-                f"stamps or numbers there are {self.times.rate_hz:.0f}; check the speed of its "
-                "clock, and the connection"
+                f"{self.name}: {arrival_rate_hz:.0f} {unit}s arrive per second, but according to "
+                f"their timestamps or counters, the rate is {self.times.rate_hz:.0f}; check the "
+                "speed of its clock, and the connection"
             )
 
     def _await_first(self) -> None:

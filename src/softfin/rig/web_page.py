@@ -27,14 +27,15 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
         if isinstance(error, TimeoutError):
             reason = f"no response within {PAGE_TIMEOUT_S:g} s"
         raise DeviceError(
-            f"{where}: cannot read the force sensor's page ({reason}); check its power, cable, "
-            "address and http_port"
+            f"{where}: cannot read the web page of the force sensor ({reason}); check its power, "
+            "cable, address and http_port"
         ) from None
     if response.status == http.client.NOT_FOUND:
         return None
     if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
         raise RigError(
             f"{where}: returned {response.status} {response.reason[:80]} with {len(body)} bytes; "
-            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; is this the address of an Axia80?"
+            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; check that this is the address of "
+            "an Axia80"
         )
     return body

@@ -38,6 +38,7 @@ SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
 
 FinForces = Float[np.ndarray, "fins 2"]
 MatrixColumns = Float[np.ndarray, "columns"]
+Reaches = Float[np.ndarray, "fins"]
 SixVector = Float[np.ndarray, "6"]
 
 
@@ -58,7 +59,7 @@ class Allocator:
     def __init__(
         self,
         matrix: Float[np.ndarray, "6 columns"],
-        reach: Float[np.ndarray, "fins"],
+        reach: Reaches,
         priority: SixVector | None = None,
     ) -> None:
         self.matrix = np.asarray(matrix, float)
@@ -66,12 +67,12 @@ class Allocator:
         self.reach = np.asarray(reach, float)
 
     @property
-    def reach(self) -> Float[np.ndarray, "fins"]:
-        """Maximum mean force of each fin [N]; 0 for a dead fin. May be set."""
+    def reach(self) -> Reaches:
+        """Maximum mean force of each fin [N]; 0 for a dead one. May be set."""
         return self._reach
 
     @reach.setter
-    def reach(self, reach: Float[np.ndarray, "fins"]) -> None:
+    def reach(self, reach: Reaches) -> None:
         self._reach = np.asarray(reach, float)
         self._scale = np.repeat(self._reach, 2)
         # The unknowns are x = f / r, so the constraints are |x_i| <= 1. With A = B r, the gradient

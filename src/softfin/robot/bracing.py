@@ -35,7 +35,7 @@ SAME_N = 1e-6
 
 
 class BracedAllocation:
-    """Allocation of wrenches to a robot's fins, as configured under `allocation` in the robot's
+    """Allocation of wrenches to a robot's fins, as configured under `allocation` in the robot
     file."""
 
     def __init__(self, robot: RobotConfig, reach: Sequence[float | int]) -> None:

@@ -23,21 +23,16 @@ def check_robot(robot: RobotConfig, max_thrust_n: Sequence[float]) -> JsonObject
     reach = {
         name: round(float(allocator.reach_along(axis)), 3) for axis, name in enumerate(WRENCH_AXES)
     }
-    without = {
-        name: _rank(np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1))
-        for fin, name in enumerate(robot.fins)
-    }
+    without = {}
+    for fin, name in enumerate(robot.fins if count > 1 else ()):
+        others = np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1)
+        without[name] = int(np.linalg.matrix_rank(others, rtol=WEAK))
     return {
         "robot": robot.name,
         "fins": count,
-        "rank": _rank(matrix),
+        "rank": int(np.linalg.matrix_rank(matrix, rtol=WEAK)),
         "singular_values": [round(float(value), 4) for value in np.linalg.svd(matrix)[1]],
-        "rank_without": without if count > 1 else {},
+        "rank_without": without,
         "max_thrust_n": dict(zip(robot.fins, max_thrust_n, strict=True)),
         "reach": reach,
     }
-
-
-def _rank(matrix: np.ndarray) -> int:
-    values = np.linalg.svd(matrix)[1] if matrix.size else np.zeros(1)
-    return int((values > WEAK * values[0]).sum()) if values[0] > 0 else 0

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
+from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.control.controller import ControllerState, LoadedController, Measured
@@ -26,14 +26,14 @@ from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, drop_padding, masked_mean, repeat
 from softfin.core.quantities import TICK_S, Reading
 from softfin.core.randomness import named_generator, named_key
-from softfin.robot.allocation import SixVector
+from softfin.robot.allocation import Allocation, SixVector
 from softfin.robot.description import WRENCH_AXES, MaxThrust, RobotConfig, max_thrust_per_fin
 from softfin.robot.references import NODE_CLOCK, FinReferences
 from softfin.tank import Tank, TankState
 from softfin.tank.tank import Load
 
 PART_OF_REACH = 0.7
-"""Fraction of each fin's maximum thrust within which the fin forces of targets are drawn."""
+"""Fraction of the maximum thrust of each fin within which the fin forces of targets are drawn."""
 
 WINDOWS = 10
 """Number of windows for which each target is held, from rest; errors are computed over the second
@@ -64,17 +64,6 @@ class SimulatedFin(NamedTuple):
 
     controller: LoadedController
     tank: Tank
-
-
-class ReferenceSeries(NamedTuple):
-    """References of all fins for one target wrench, one row per action of the node."""
-
-    forces: Float[np.ndarray, "actions fins 2"]
-    """Reference of each fin in fin axes [N]."""
-    wrench: Float[np.ndarray, "actions 6"]
-    """Total wrench of the references, in body axes [N, N m]."""
-    given_up: Bool[np.ndarray, "actions 6"]
-    """Axes in which the target is out of reach."""
 
 
 def evaluate_robot(
@@ -165,14 +154,14 @@ def fin_references(
     dead: Sequence[int],
     target: SixVector,
     ticks: int,
-) -> ReferenceSeries:
+) -> Allocation:
     """Return the references that the node sends within `ticks`, from its start, for a constant
-    target wrench."""
+    target wrench; the first axis of all fields is that of its actions."""
     node = FinReferences(robot, max_thrust_n)
     for fin in dead:
         node.declare_dead(fin)
     actions = [node.act(target) for _ in range(NODE_CLOCK.actions_within(ticks))]
-    return ReferenceSeries(*(np.stack(rows) for rows in zip(*actions, strict=True)))
+    return Allocation(*(np.stack(rows) for rows in zip(*actions, strict=True)))
 
 
 def track_references(

@@ -142,7 +142,7 @@ class RobotNode:
         if action.given_up.any():
             axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
             self._once(
-                f"{self.config.reference_topic}: out of the fins' reach in {axes}; for the "
+                f"{self.config.reference_topic}: out of reach of the fins in {axes}; for the "
                 f"resulting wrench, see {self.config.wrench_topic}"
             )
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
@@ -243,8 +243,8 @@ class RobotNode:
                 return
             if now > deadline:
                 self._once.report(
-                    f"{', '.join(going)}: still publishing {STOPPING_S:g} s after the stop; "
-                    "switch off their motors' supply"
+                    f"{', '.join(going)}: still publishing {STOPPING_S:g} s after the stop; switch "
+                    "off the supply of their motors"
                 )
                 return
 
@@ -273,23 +273,15 @@ class RobotNode:
 
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
     """Raise RigError if a fin is unsuitable or two topics would have the same name."""
+    topics = [value for name, value in config if name.endswith("_topic")]
     for name in robot.fins:
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
                 f"{robot.name}: fin {name!r} cannot be part of a topic name; use letters, "
                 "digits and _"
             )
-    own = [value for name, value in config if name.endswith("_topic")]
+        topics += fin_topics(name, config.fin_prefix).values()
     try:
-        check_names(
-            [
-                *own,
-                *(
-                    topic
-                    for name in robot.fins
-                    for topic in fin_topics(name, config.fin_prefix).values()
-                ),
-            ]
-        )
+        check_names(topics)
     except ValueError as error:
         raise RigError(f"{robot.name}: {error}") from None

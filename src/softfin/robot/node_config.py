@@ -13,7 +13,7 @@ class RobotNodeConfig(Configuration):
     """Topics and frame of the node of a robot, and forces of the fins.
 
     `vehicle_frame_id` and `max_thrust` have the same meaning as in auv_controllers; the allocation
-    matrix (`tam`) and names (`thrusters`) of that package are derived from the robot's file here.
+    matrix (`tam`) and names (`thrusters`) of that package are derived from the robot file here.
     """
 
     reference_topic: TopicName = "/robot/reference"

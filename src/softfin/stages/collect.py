@@ -50,7 +50,8 @@ def collect(
         config: `CollectConfig`; its fields are options too, such as --excitation.hold-min-s 0.2.
         resume: Resume after the last complete log (real fins only).
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
         overwrite: Replace existing output, and discard an unfinished run.
         progress: Function that is called with the progress.
 

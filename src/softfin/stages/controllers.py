@@ -2,7 +2,6 @@
 III-C), and export a controller to ONNX."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -29,6 +28,7 @@ from softfin.core.result import Result
 from softfin.core.seeds import check_seed
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
+from softfin.storage.paths import typed_path
 from softfin.storage.registry import check_plant, plant_name
 
 if TYPE_CHECKING:
@@ -74,13 +74,13 @@ def map_forces(
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
-    """Find the mean forces that a fin can produce, and gaits that produce them: a controller.
+    """Find the mean forces that a fin can produce, and the gaits that produce them.
 
     Args:
         plant: Surrogate folder, or another plant: tank or package.module:plant.
         out: Controller folder to write: the gaits, the forces that they produce, and a figure.
-        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
-            (default: paper, which is 3,2).
+        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the stroke time of the
+            fin (default: paper, which is 3,2).
         config: `MapConfig`; its fields are options too, such as --nodes 200.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
@@ -168,7 +168,7 @@ def train(
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
-    """Train force controllers inside a surrogate by LSTM-PPO (paper Sec. III-C).
+    """Train force controllers inside a surrogate with LSTM-PPO (paper Sec. III-C).
 
     A survey of gaits first determines the forces that the fin can produce.
 
@@ -177,9 +177,9 @@ def train(
         out: Controller folder to write.
         controller: single: one policy for all references (default); grid: one policy per cell of a
             grid.
-        range: reach: all forces that the fin can produce (default); paper: the paper's.
-        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the fin's stroke time
-            (default: paper, which is 3,2).
+        range: reach: all forces that the fin can produce (default); paper: the range in the paper.
+        clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the stroke time of the
+            fin (default: paper, which is 3,2).
         steps: Number of training actions per policy (default: 400000, or 66000 per cell of a grid).
         seed: Seed for weights, exploration and references.
         config: `TrainConfig`; its fields are options too, such as --ppo.num-envs 64.
@@ -254,9 +254,9 @@ def train(
 
 
 def next_step(controller: Path, plant: PlantLike) -> str:
-    """Return the suggested next command, which tries the controller."""
-    name = shlex.quote(plant_name(plant))
-    return f"next: softfin evaluate {shlex.quote(str(controller))} --plant {name}"
+    """Return the command with which to try a controller next."""
+    name = typed_path(plant_name(plant))
+    return f"next: softfin evaluate {typed_path(controller)} --plant {name}"
 
 
 def _score_table(scores: Sequence[JsonObject]) -> list[str]:
@@ -285,7 +285,7 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
         return []
     return [
         f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
-        "does not reach them; check training/learning.png in its folder, and train it longer"
+        "does not reach the targets; check training/learning.png in its folder, and train it longer"
     ]
 
 
@@ -316,7 +316,7 @@ def export(
     return Result(
         {"onnx": str(onnx), **exported._asdict()},
         f"{onnx}: {exported.bytes:,} bytes, ONNX opset {exported.opset}; over {EPISODE} actions, "
-        "onnxruntime's commands differ from softfin's by at most "
-        f"{exported.worst:.1g} (rad, rad/s)\n"
-        f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
+        "the commands from onnxruntime differ from the softfin commands by at most "
+        f"{exported.worst:.1g} (rad, rad/s)\nin:  {', '.join(exported.inputs)}\nout: "
+        f"{', '.join(exported.outputs)}",
     )

@@ -108,7 +108,7 @@ def _can() -> CheckResult:
     }
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     if not states:
-        text = "no SocketCAN interface; an EPOS2 needs one, or another CAN adapter"
+        text = "no SocketCAN interface; an EPOS2 needs SocketCAN or a different CAN adapter"
     elif all(states.values()):
         return CheckResult("CAN", "well", text)
     else:
@@ -121,10 +121,10 @@ def _serial_ports() -> CheckResult:
     if not ports:
         return CheckResult("serial ports", "note", "none on USB; a Dynamixel needs one")
     text = ", ".join(map(str, ports))
-    if not ports:
-        text = "none on USB; a Dynamixel needs one"
-    elif all(os.access(port, os.R_OK | os.W_OK) for port in ports):
+    if all(os.access(port, os.R_OK | os.W_OK) for port in ports):
         return CheckResult("serial ports", "well", text)
-    else:
-        text += "; not all may be used: run sudo usermod -aG dialout $USER, then log in again"
-    return CheckResult("serial ports", "note", text)
+    fix = (
+        "you may lack permission to use some of them: run sudo usermod -aG dialout $USER, then log "
+        "in again"
+    )
+    return CheckResult("serial ports", "note", f"{text}; {fix}")

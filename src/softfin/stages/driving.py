@@ -167,7 +167,7 @@ class Drive(NamedTuple):
                 except OSError as error:
                     # The terminal was closed, or the program that reads the output has exited.
                     session.stop_request.ask(
-                        "emergency_stop", f"nobody reads the output any more ({error.strerror})"
+                        "emergency_stop", f"the output is no longer being read ({error.strerror})"
                     )
             errors = [
                 abs(mean - asked) for mean, asked in zip((x, y), result.reference, strict=True)
@@ -230,7 +230,8 @@ def run(
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
         overwrite: Replace an existing recording.
 
     Returns:
@@ -297,7 +298,8 @@ def ros2(
         config: `NodeConfig`; its fields are options too.
         connection: How to reach other nodes.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
         overwrite: Replace an existing recording.
 
     Returns:

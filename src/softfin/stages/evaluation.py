@@ -61,18 +61,19 @@ def evaluate(
             paper's six).
         reference_file: Also evaluate a recorded reference (.csv, .parquet): time_s, force_x_n,
             force_y_n.
-        moving: Also evaluate four steps of the reference within the controller's range.
+        moving: Also evaluate four steps of the reference within the range of the controller.
         seconds: Length of each experiment [s] (default: 30).
         repeats: Repetitions of each experiment (default: 5).
-        seed: Seed for the plant's noise (default: 0).
+        seed: Seed for the plant noise (default: 0).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
         trim: Add force feedback, which removes the steady-state error of the measured mean force.
-        randomize: Perturb the tank's parameters in each repetition, by up to this fraction.
+        randomize: Perturb the parameters of the tank in each repetition, by up to this fraction.
         random: Also evaluate this many random references within the reachable part of the training
             range.
         config: `EvaluateConfig`; its fields are options too.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -188,7 +189,7 @@ def _check_evaluation(
             "--randomize"
         )
     if is_real and out is None:
-        raise ConfigurationError(f"{plant}: moves in real time; set --out, to keep the recording")
+        raise ConfigurationError(f"{plant}: moves in real time; set --out to keep the recording")
     if not controllers:
         raise ConfigurationError(
             "CONTROLLER: missing; usage: softfin evaluate [OPTIONS] CONTROLLER..."

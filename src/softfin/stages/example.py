@@ -12,6 +12,7 @@ from typing import Annotated
 from softfin.core.option_types import DIR, PathLike
 from softfin.core.result import Result
 from softfin.storage import artifact as artifacts
+from softfin.storage.paths import typed_path
 
 EXAMPLE = Path(__file__).parents[1] / "example"
 """Folder of the example in the package."""
@@ -57,6 +58,6 @@ def write_example(
         f"{out}: a surrogate of the virtual tank, controllers trained in it, and a one-minute "
         "recording\n"
         f"error of the mean force in the tank, x, y: {'; '.join(errors)}\n"
-        f"next: softfin evaluate {out}/gaits --plant tank --out evaluation; see {out}/README.md "
-        "for more",
+        f"next: softfin evaluate {typed_path(out / 'gaits')} --plant tank --out evaluation; see "
+        f"{out}/README.md for more",
     )

@@ -49,7 +49,7 @@ def explore(
         raise ConfigurationError(f"--out {out}: must end in .html")
     artifacts.check_file(out, overwrite)
     if not plant:
-        raise ConfigurationError("plant: none given; name at least one")
+        raise ConfigurationError("plant: missing; specify at least one")
     _check_distinct(plant)
     _check_distinct(paths)
     for path in paths:
@@ -109,8 +109,8 @@ def _common_clock(controllers: "Mapping[str, LoadedController]") -> ActionClock:
     for path, other in clocks.items():
         if other != clock:
             raise ConfigurationError(
-                f"{path}: its clock ({other}) differs from that of {next(iter(clocks))} ({clock}); "
-                "write a page for each clock"
+                f"{path}: its clock ({other}) differs from the clock of {next(iter(clocks))} "
+                f"({clock}); write a page for each clock"
             )
     return clock
 
@@ -119,7 +119,7 @@ def _check_distinct(given: Sequence[object]) -> None:
     """Raise ConfigurationError if a name is given twice."""
     names = list(map(str, given))
     if len(set(names)) < len(names):
-        raise ConfigurationError(f"{', '.join(names)}: contains duplicates; name each once")
+        raise ConfigurationError(f"{', '.join(names)}: contains duplicates; list each plant once")
 
 
 def _labels(short: dict[str, str]) -> dict[str, str]:

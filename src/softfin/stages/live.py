@@ -376,9 +376,9 @@ def _drift_warning(sensor_states: JsonObject, first_name: str, name: str) -> str
     if drift <= limit:
         return None
     return (
-        f"{name}: the rest force differs by {drift:.2g} N from that of {first_name} (limit "
-        f"{limit:g} N); let the sensor and the water reach the same temperature, and check that "
-        "nothing touches the fin"
+        f"{name}: the rest force differs by {drift:.2g} N from the rest force of {first_name} "
+        f"(limit {limit:g} N); let the sensor and the water reach the same temperature, and check "
+        "that nothing touches the fin"
     )
 
 

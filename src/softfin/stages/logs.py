@@ -1,6 +1,5 @@
 """Stages that check recordings, import them as a dataset, or recover them. No JAX."""
 
-import shlex
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from softfin.core.result import Result
 from softfin.data.importing.importing import ImportConfig, format_options
 from softfin.data.issues import counted
 from softfin.storage import artifact as artifacts
-from softfin.storage.paths import find_recordings
+from softfin.storage.paths import find_recordings, typed_path
 
 
 def inspect_logs(
@@ -67,7 +66,7 @@ def inspect_logs(
     if errors:
         text = f"fit and import-logs reject logs with errors unless you add {ignoring(errors)}"
     else:
-        words = [shlex.quote(str(logs)), format_options(opened.config), "--out surrogate"]
+        words = [typed_path(logs), format_options(opened.config), "--out surrogate"]
         text = f"next: softfin fit {' '.join(filter(None, words))}"
     return Result(values, f"{inspection_table(values)}\n{text}")
 
@@ -86,7 +85,7 @@ def import_logs(
     Args:
         logs: A recording, or a folder of recordings.
         out: Dataset folder to write.
-        recordings: How to read recordings that softfin did not make.
+        recordings: How to read recordings from other programs.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
 
@@ -150,7 +149,7 @@ def recover_recording(
     if not recovery.damages:
         return Result(
             {"recovered": None, **recovery.to_dict()},
-            f"{recording}: not damaged; use it as it is, no file was written",
+            f"{recording}: not damaged; use the recording as it is, because no file was written",
         )
     messages = counted(sum(recovery.messages.values()), "message")
     reasons = "; ".join(f"byte {at:,}: {reason}" for at, reason in recovery.damages)

@@ -137,7 +137,7 @@ def demo(
 
     Args:
         out: Output folder.
-        quick: Finish in one minute: shows that everything works, but hardly trains.
+        quick: Finish in one minute: run every stage, but with little training.
         seed: Seed for data and training.
         resume: Continue a stopped run.
         overwrite: Replace existing output, and discard an unfinished run.
@@ -250,7 +250,7 @@ def _clear(out: Path, plant: str) -> None:
     folder = out.resolve()
     if Path(plant).exists() and Path(plant).resolve().is_relative_to(folder):
         raise ArtifactError(
-            f"{out}: contains the plant {plant}, which would be replaced too; choose a different "
+            f"{out}: contains the plant {plant}, which would also be replaced; choose a different "
             "--out"
         )
     try:
@@ -467,7 +467,7 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
                 moving[f"{caption}, {file.stem}"] = file
     fin = {}
     if best := headline(results):
-        fin["Fin under the best controller; grey: its stroke"] = shown / best.controller / "fin.png"
+        fin["Fin with the best controller; grey: its stroke"] = shown / best.controller / "fin.png"
     sections = {
         "fin": fin,
         "surrogate": prediction,

@@ -31,9 +31,9 @@ PROVING = (
 )
 MOVING = (
     f"{PROVING}; then the fin swings by {SWING_RAD:g} rad to both sides, and softfin is killed or "
-    f"suspended {2 * DEATHS} times, so keep a hand on the switch of the motor's supply"
+    f"suspended {2 * DEATHS} times, so keep a hand on the power switch of the motor"
 )
-ZEROING = "softfin sets the zero at the fin's current angle"
+ZEROING = "softfin sets the zero at the current angle of the fin"
 ZEROING_POWERED = f"the motor is powered briefly and holds the fin; {ZEROING}"
 
 ZERO_TEXTS = {
@@ -56,17 +56,18 @@ def check(
     arm: bool = False,
     yes: bool = False,
 ) -> Iterator[CheckResult] | Result:
-    """Check a rig's bus, drive, sensor and settings, and print a table; nothing moves.
+    """Check the bus, drive, sensor and settings of a rig, and print a table; nothing moves.
 
     With --prove, only prove that the drive stops by itself if softfin dies.
 
     Args:
         rig: Rig configuration file.
-        reset_fault: Print and acknowledge the drive's fault before the checks.
+        reset_fault: Print and acknowledge the drive fault before the checks.
         prove: Prove that the drive stops if softfin dies. Powers the motor at rest; needs --arm.
         moving: With --prove, also kill and suspend softfin while it swings the fin.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
 
     Returns:
         The results, each as soon as it is available; the proof with `prove`.
@@ -75,7 +76,7 @@ def check(
         DeviceError: If a check has failed, or the drive does not stop by itself.
     """
     if moving and not prove:
-        raise ConfigurationError("--moving: is part of the proof; add --prove")
+        raise ConfigurationError("--moving: applies only to the proof; add --prove")
     config = load_rig(Path(rig))
     if reset_fault:
         with contextlib.closing(find_rig(config)) as machine:
@@ -101,8 +102,8 @@ def _prove(config: RigConfig, moving: bool, arming: Arming) -> Result:
         if moving:
             proof = prove_moving(rig, tell=say)
     text = (
-        f"{rig.name}: its drive stopped by itself {1000 * proof.faulted_after_s:.0f} ms after "
-        "softfin's last heartbeat"
+        f"{rig.name}: its drive stopped by itself {1000 * proof.faulted_after_s:.0f} ms after the "
+        "last heartbeat from softfin"
     )
     if proof.moving is not None:
         text += f"; in motion, {proof.moving.text}"
@@ -144,7 +145,8 @@ def zero(
         angle: Zero only the angle. Powers the motor briefly; needs --arm.
         force: Zero only the force.
         arm: Allow the real fin to move, after you confirm on the terminal.
-        yes: With --arm, skip the confirmation. For scripts: make sure that no one can reach it.
+        yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
+            fin.
 
     Returns:
         The angle before and after, and the force at rest.
@@ -183,8 +185,8 @@ def emulate(
 
     Args:
         rig: Rig configuration file to write.
-        tank: Tank configuration file (default: softfin's own tank).
-        seed: Seed for the tank's noise.
+        tank: Tank configuration file (default: the built-in tank).
+        seed: Seed for the tank noise.
         drive: Type of the emulated drive: epos2 or dynamixel.
         sensor: Type of the emulated force sensor: axia80 or lines.
         real_time: Instead, emulate a drive and a sensor in real time on local sockets, until

@@ -58,13 +58,13 @@ def evaluate(
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
-    """Evaluate a robot's ROS 2 node in simulation: wrench errors of fins in a tank, on a fixed
+    """Evaluate the ROS 2 node of a robot in simulation: wrench errors of fins in a tank, on a fixed
     body.
 
     Args:
         robot: Name of a robot, or its YAML file.
         controllers: Controller folder: one for all fins, or one for each fin in the order of the
-            robot's file.
+            robot file.
         plant: Tank in which the fins beat, or its YAML file: one for all fins, or one for each fin.
         out: Output folder.
         max_thrust: Maximum mean force that each fin can produce in every direction [N].
@@ -122,8 +122,8 @@ def ros2(
 ) -> None:
     """Run a ROS 2 node that distributes the wrenches from a topic among the fins of a robot.
 
-    The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
-    nothing itself. Enter or a topic stops the node and the fins. See docs/robot.md.
+    The node publishes a reference force for the node of each fin (softfin ros2 --fin NAME) and
+    moves nothing itself. Enter or a topic stops the node and the fins. See docs/robot.md.
 
     Args:
         robot: Name of a robot, or its YAML file.
@@ -186,8 +186,8 @@ def simulated_fins(
         tank = find_plant(plant)
         if not isinstance(tank, Tank):
             raise ConfigurationError(
-                f"plant {plant}: only a tank simulates the torque about the shaft of a robot's "
-                "fin; use tank, or the YAML file of a tank"
+                f"plant {plant}: only a tank simulates the torque about the shaft of a robot fin; "
+                "use tank, or the YAML file of a tank"
             )
         check_limits(controller.limits, tank.limits, path, plant)
         fins.append(SimulatedFin(controller, tank))
@@ -229,7 +229,7 @@ def _error_table(found: JsonObject) -> list[str]:
         *aligned(cells, (0, 1)),
     ]
     if found["targets_given_up"]:
-        lines.append(f"{found['targets_given_up']} targets are out of the fins' reach")
+        lines.append(f"{found['targets_given_up']} targets are out of reach of the fins")
     if found["references_unreachable"]:
         lines.append(
             f"{found['references_unreachable']:.0%} of the references are unreachable for their "

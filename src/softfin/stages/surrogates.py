@@ -1,6 +1,5 @@
 """Stages that fit models of a fin: surrogates (paper Sec. III-B) and the calibrated tank."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +26,7 @@ from softfin.data.issues import counted
 from softfin.stages.logs import columns_read
 from softfin.storage import artifact as artifacts
 from softfin.storage.output_lock import lock_output
-from softfin.storage.paths import find_recordings
+from softfin.storage.paths import find_recordings, typed_path
 from softfin.storage.registry import check_data, plant_name
 from softfin.surrogate.registry import DEFAULT, find_architecture
 
@@ -62,7 +61,7 @@ def fit(
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
-        recordings: How to read recordings that softfin did not make.
+        recordings: How to read recordings from other programs.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
         resume: Continue from the last checkpoint of an unfinished run.
@@ -99,6 +98,12 @@ def fit(
     opened = open_logs(dataset, recordings, progress)
     opened.check_train(str(dataset))
     opened.check_issues(str(dataset))
+    _check_commands(dataset, opened.train)
+    # Checked before the long fit, so that scoring cannot fail afterwards.
+    scored = opened.test or list(hold_out(opened.train, settings.held_out)[1])
+    part = "test" if opened.test else "held-out"
+    check_lengths(scored, SKIPPED, part)
+    spans = measured_ranges(scored)
     metadata = {
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
@@ -107,11 +112,6 @@ def fit(
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        _check_commands(dataset, opened.train)
-        # Checked before the long fit, so that scoring cannot fail afterwards.
-        scored = opened.test or list(hold_out(opened.train, settings.held_out)[1])
-        check_lengths(scored, SKIPPED, "test" if opened.test else "held-out")
-        measured_ranges(scored)
         fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
 
         def keep(folder: Path) -> None:
@@ -137,10 +137,12 @@ def fit(
             fin=description.get("fin"),
         )
     run_directory.finish()
-    return _summarize_fit(dataset, out, opened, settings.held_out)
+    return _summarize_fit(dataset, out, opened, spans, counted(len(scored), f"{part} log"))
 
 
-def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: float) -> Result:
+def _summarize_fit(
+    dataset: Path, out: Path, opened: "OpenedLogs", spans: Mapping[str, float], scored: str
+) -> Result:
     from softfin.core.action_clock import PAPER_CLOCK, ActionClock
     from softfin.core.plant import EnsemblePlant
     from softfin.stages.tables import format_table_one
@@ -158,12 +160,13 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: flo
     clock = ""
     if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
         parts.append(
-            f"actions of {stroke_s:.2g} s suit this fin and its logs: --clock auto means {fitting}"
+            f"actions of {stroke_s:.2g} s suit this fin and its logs: --clock auto selects "
+            f"{fitting}"
         )
         clock = " --clock auto"
     parts.append(
-        f"{out}: {_verdict(written['scores'], opened, held_out)}\n"
-        f"next: softfin map {shlex.quote(str(out))}{clock} --out gaits"
+        f"{out}: {_verdict(written['scores'], spans, scored)}\n"
+        f"next: softfin map {typed_path(out)}{clock} --out gaits"
     )
     notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
     if warning is not None:
@@ -181,21 +184,16 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", held_out: flo
     return Result(values, notes + "\n\n".join(parts))
 
 
-def _verdict(table: JsonObject, opened: "OpenedLogs", held_out: float) -> str:
-    """Return the error of the predicted force, also as a percentage of the force range."""
+def _verdict(table: JsonObject, spans: Mapping[str, float], scored: str) -> str:
+    """Return the error of the predicted force, also as a percentage of its range."""
     from softfin.surrogate.channels import FORCES
-    from softfin.surrogate.table_one import measured_ranges
-    from softfin.surrogate.training import hold_out
 
-    scored = opened.test or list(hold_out(opened.train, held_out)[1])
-    kind = "test log" if opened.test else "held-out log"
     # The last force predictor is the complete surrogate.
     *_, force = (row for row in table.values() if row["unit"] == "N")
     error_n = force["physical"]["rmse"]
-    spans = measured_ranges(scored)
     range_n = max(spans[name] for name in FORCES)
     return (
-        f"error of the predicted force {error_n:.2g} N (RMS) in {counted(len(scored), kind)}, "
+        f"error of the predicted force {error_n:.2g} N (RMS) in {scored}, "
         f"{100 * error_n / range_n:.2g}% of its range"
     )
 
@@ -258,7 +256,7 @@ def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str 
         return None
     return (
         f"{out}: noise hides the force: the mean force over 2 s in the logs is {measured_n:.2g} N "
-        f"rms, but this includes noise of {noise_n:.2g} N (with drift and the error of the fit); "
+        f"rms, but this includes noise of {noise_n:.2g} N (including drift and the fitting error); "
         "use a more sensitive force sensor or faster strokes, record more logs, or fit longer"
     )
 
@@ -290,7 +288,7 @@ def calibrate(
     determined.
 
     Args:
-        data: Logs, or a plant: tank, a tank's YAML file, a surrogate or package.module:plant.
+        data: Logs, or a plant: tank, a tank YAML file, a surrogate or package.module:plant.
         out: Output folder for calibration.json and tank.yaml.
         preset: full: fin, water, drive and recording; quick: six parameters, about a minute.
         seed: Seed for the search and the commands.

@@ -30,11 +30,15 @@ WEIGHTS = "weights.safetensors"
 def check_vacant(
     path: Path, overwrite: bool = False, option: str = "--out", kind: str | None = None
 ) -> None:
-    """Raise ArtifactError unless a folder can be written to `path`, which must be missing or empty.
-    With `overwrite`, it may also be a softfin folder (of the given `kind`, if set)."""
-    if Path.cwd().is_relative_to(path.resolve()):
-        # The output would replace the working directory, and relative paths would no longer be
-        # valid.
+    """Raise ArtifactError unless a folder can be written to `path`: it must be missing or empty, or
+    a softfin folder if `overwrite` is set, of the given kind if there is one."""
+    try:
+        is_current = Path.cwd().is_relative_to(path.resolve())
+    except FileNotFoundError:
+        # The current folder was deleted.
+        is_current = False
+    if is_current:
+        # The output replaces the folder, and relative paths would no longer refer to anything.
         raise ArtifactError(
             f"{path}: is or contains the current folder, which cannot be replaced; choose a "
             f"different {option}"
@@ -232,7 +236,7 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     description = load_description(path, kind)
     file = path / WEIGHTS
     if not file.exists():
-        raise ArtifactError(f"{file}: missing; copy the whole folder again")
+        raise ArtifactError(f"{file}: missing; copy the complete folder again")
     try:
         weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():

@@ -42,8 +42,8 @@ def check_format(
     expected = FORMATS[kind]
     if number != expected:
         raise error(
-            f"{source}: format is {str(number)[:80]!r}, but this softfin reads {expected}; use the "
-            "version that wrote it, or write it again"
+            f"{source}: format is {str(number)[:80]!r}, but this version of softfin reads "
+            f"{expected}; use the version that wrote the file, or create the file again"
         )
 
 

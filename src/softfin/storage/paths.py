@@ -1,6 +1,7 @@
 """Checks files and folders given by the user before any work starts. This module uses neither NumPy
 nor JAX, so mistakes are reported immediately."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -86,3 +87,9 @@ def check_reference_file(path: Path) -> None:
     if path.suffix not in (".csv", ".parquet"):
         raise ConfigurationError(f"--reference-file {path}: must be a .csv or .parquet file")
     check_readable(path, option="--reference-file ")
+
+
+def typed_path(path: Path | str) -> str:
+    """Return a path as it is typed in a shell, even if it begins like an option."""
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)

@@ -88,12 +88,13 @@ def _name_path(name: str | Path) -> str:
 def check_data(name: "str | Path | Plant") -> None:
     """Raise SoftfinError if `name` is neither a folder of logs nor a plant."""
     if not isinstance(name, str | Path):
+        _check_is_plant(name, "data")
         return
     path = Path(name)
     if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
         find_recordings(path)
     else:
-        resolve_plant(str(name))
+        resolve_plant(_name_path(name))
 
 
 def find_plant(name: "str | Path | Plant") -> "Plant":

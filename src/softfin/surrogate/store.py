@@ -68,7 +68,7 @@ def load_surrogate(path: str | Path) -> SurrogatePlant:
         architecture = find_architecture(str(description.get("model", PAPER)))
     except ConfigurationError as error:
         raise ArtifactError(
-            f"{source}: {error}; run softfin where this module is, or update softfin"
+            f"{source}: {error}; run softfin in the folder of this module, or update softfin"
         ) from error
     try:
         surrogate = architecture.load(description, weights, source)

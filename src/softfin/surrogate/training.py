@@ -93,6 +93,14 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
             )
 
 
+def check_history(history: Log, memory: int) -> None:
+    """Raise LogError if a history is shorter than the memory of a surrogate."""
+    if history.rows < memory:
+        raise LogError(
+            f"history: {history.rows} rows; this surrogate needs {memory} rows to warm up"
+        )
+
+
 def window_starts(rows: Sequence[int], window: int, first: int = 0) -> Int[np.ndarray, "windows"]:
     """Return the first rows of all windows in concatenated logs.
 

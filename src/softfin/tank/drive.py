@@ -51,7 +51,8 @@ class DriveConfig(Configuration):
     acceleration_rad_s2: float = Field(81.0, gt=0)
     """Acceleration and deceleration of the profile [rad/s2]."""
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
-    """Delay from a command to its first effect on the profile [s], caused by computer and bus."""
+    """Delay from a command to its first effect on the profile [s], caused by the computer and the
+    bus."""
     lag_s: float = Field(0.001, ge=0)
     """Following error divided by velocity [s], caused by velocity damping in the servo."""
     stiffness_nm_rad: float = Field(300.0, gt=0)

@@ -85,17 +85,21 @@ class DomainRandomization(Configuration):
         return not any(self.model_dump().values())
 
 
+Change: TypeAlias = Scalar | float
+"""Offset or factor of a parameter."""
+
+
 def with_parameters(
     tank: Tank,
     *,
-    temperature_c: Scalar | float = 0.0,
-    stiffness: Scalar | float = 1.0,
-    drag: Scalar | float = 1.0,
-    added_mass: Scalar | float = 1.0,
-    lag: Scalar | float = 1.0,
-    dead_time: Scalar | float = 1.0,
-    drift: Scalar | float = 1.0,
-    misalignment_rad: Scalar | float = 0.0,
+    temperature_c: Change = 0.0,
+    stiffness: Change = 1.0,
+    drag: Change = 1.0,
+    added_mass: Change = 1.0,
+    lag: Change = 1.0,
+    dead_time: Change = 1.0,
+    drift: Change = 1.0,
+    misalignment_rad: Change = 0.0,
 ) -> Tank:
     """Return the tank with changed parameters. Values are offsets if the name ends in a unit,
     otherwise factors."""

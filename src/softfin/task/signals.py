@@ -134,7 +134,7 @@ def read_reference_file(path: Path) -> Recorded:
             "is not a finite number"
         )
         raise ConfigurationError(
-            f"{source}: {met}; correct it, or remove the row, and the previous force is held"
+            f"{source}: {met}; correct it, or remove the row to hold the previous force"
         )
     # softfin's own logs start one tick late; see the top of this module.
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:
@@ -144,8 +144,8 @@ def read_reference_file(path: Path) -> Recorded:
     )
     if recorded.seconds > MAX_SIGNAL_S:
         raise ConfigurationError(
-            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s, but at most "
-            f"{MAX_SIGNAL_S:g} s are allowed; divide by 1000 if time_s is in milliseconds, or "
+            f"{source}: time_s up to {values[-1, 0]:g} corresponds to {recorded.seconds} s, but at "
+            f"most {MAX_SIGNAL_S:g} s are allowed; divide by 1000 if time_s is in milliseconds, or "
             "shorten the file"
         )
     return recorded

@@ -146,7 +146,7 @@ def _check_still(drive: Drive, pace: Pace, when: str) -> None:
     angles = [reading.angle for reading in _watch(drive, pace, 50, DriveReading)]
     way = max(angles) - min(angles)
     if way > AT_REST_RAD:
-        _fail(drive, f"moved by {way:.3f} rad {when}", "it must move under a command only")
+        _fail(drive, f"moved by {way:.3f} rad {when}", "it must move only under a command")
 
 
 def _check_motion(drive: Drive, pace: Pace) -> None:

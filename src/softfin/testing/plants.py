@@ -2,9 +2,9 @@
 
 import itertools
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +24,6 @@ from softfin.surrogate.store import load_surrogate, save_surrogate
 
 STROKE_TICKS = PAPER_CLOCK.ticks[0]
 
-Problem = tuple[str, ...]
-"""Error message: the problem and the requirement."""
-
 
 def check_plant(plant: Any) -> None:
     """Raise a PlantError with the problem and the requirement, unless `plant` meets the contract.
@@ -37,8 +34,8 @@ def check_plant(plant: Any) -> None:
     single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do
     the same as `advance`, and an optional `true_force` must be finite and traceable.
     """
-    checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
-    _raise_first_problem(plant, checks)
+    for check in (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action):
+        check(plant)
 
 
 def check_surrogate(surrogate: Any) -> None:
@@ -52,14 +49,17 @@ def check_surrogate(surrogate: Any) -> None:
     histories and logs are the surrogate's own readings under random commands.
     """
     check_plant(surrogate)
-    checks = (_surrogate_members, _storage, _logs, _ensemble)
-    _raise_first_problem(surrogate, checks)
+    _surrogate_members(surrogate)
+    _storage(surrogate)
+    log = _own_log(surrogate)
+    _warm_up(surrogate, log)
+    _predictions(surrogate, log)
+    _ensemble(surrogate)
 
 
-def _raise_first_problem(plant: Any, checks: Sequence[Callable[[Any], Iterator[Problem]]]) -> None:
-    problem = next((found for check in checks for found in check(plant)), None)
-    if problem is not None:
-        raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
+def _fail(plant: object, *problem: str) -> NoReturn:
+    """Raise PlantError with the problem and the requirement."""
+    raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
 
 
 def _stroke(plant: Plant) -> Command:
@@ -78,55 +78,58 @@ def _corners(plant: Plant) -> Iterator[Command]:
         yield Command(jnp.asarray(angle), jnp.asarray(velocity))
 
 
-def _members(plant: Any) -> Iterator[Problem]:
+def _members(plant: Any) -> None:
     if missing := [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]:
-        yield (
+        _fail(
+            plant,
             f"has no {', '.join(missing)}",
             "a plant must have limits, init(key) and advance(state, command, ticks)",
         )
     try:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
-        yield f"limits = {plant.limits!r}", "it must be a softfin.Limits of four numbers"
-    else:
-        if problem := limits.problem():
-            yield (problem,)
+        _fail(plant, f"limits = {plant.limits!r}", "it must be a softfin.Limits of four numbers")
+    if problem := limits.problem():
+        _fail(plant, problem)
 
 
-def _purity(plant: Plant) -> Iterator[Problem]:
+def _array(plant: Plant, name: str, values: Array, shape: tuple[int, ...]) -> None:
+    if values.shape != shape:
+        _fail(plant, f"{name} has shape {values.shape}", f"it must be {shape}")
+    if values.dtype != jnp.float32:
+        _fail(plant, f"{name} is {values.dtype}", "it must be float32")
+
+
+def _purity(plant: Plant) -> None:
     """Check that equal inputs produce equal outputs; nothing is compiled here, because that would
     hide data that a plant keeps outside its state."""
     command = _stroke(plant)
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
     if not all(isinstance(result, tuple) and isinstance(result[-1], Reading) for result in results):
-        yield "advance does not return a Reading", "it must return (state, softfin.Reading)"
+        _fail(plant, "advance does not return a Reading", "it must return (state, softfin.Reading)")
     if str(jax.tree.structure(results[0][0])) != str(jax.tree.structure(state)):
-        yield (
+        _fail(
+            plant,
             "advance changes the structure of the state",
             "init and advance must return the same structure",
         )
     first, second = (reading for _, reading in results)
     for name, values in first._asdict().items():
         shape = (STROKE_TICKS, 2) if name == "force" else (STROKE_TICKS,)
-        if jnp.shape(values) != shape:
-            yield (
-                f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks",
-                f"it must be {shape}",
-            )
-        if jnp.asarray(values).dtype != jnp.float32:
-            yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings must be float32"
+        _array(plant, f"reading.{name} for {STROKE_TICKS} ticks", jnp.asarray(values), shape)
     if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
         asked = "a plant must keep everything, including random keys, in its state"
-        yield "the same state and command produce different readings when repeated", asked
+        _fail(plant, "the same state and command produce different readings when repeated", asked)
     if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
-        yield (
+        _fail(
+            plant,
             f"time is {np.asarray(first.time)[:3]} ...",
             "each tick must be 0.01 s, and time must start at 0",
         )
 
 
-def _batches(plant: Plant) -> Iterator[Problem]:
+def _batches(plant: Plant) -> None:
     keys = jax.random.split(jax.random.key(1), 2)
     actions = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
     angles = action_to_command(plant.limits, (actions, jnp.ones_like(actions))).angle
@@ -141,8 +144,7 @@ def _batches(plant: Plant) -> Iterator[Problem]:
         together = jax.jit(jax.vmap(strokes))(keys, Command(angles, velocities))
     except Exception as error:
         asked = "write init and advance in jax.numpy, with no Python branches on values"
-        yield f"jit, vmap or scan fails ({str(error).splitlines()[0]})", asked
-        return
+        _fail(plant, f"jit, vmap or scan fails ({str(error).splitlines()[0]})", asked)
     # The same commands for the first fin alone, one tick at a time.
     commands = Command(*(jnp.repeat(x[0], STROKE_TICKS) for x in (angles, velocities)))
     alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(
@@ -150,13 +152,14 @@ def _batches(plant: Plant) -> Iterator[Problem]:
     )
     if not np.allclose(together[0], alone, rtol=1e-2, atol=1e-2):
         asked = "advance by n ticks must equal n single ticks, with nothing shared between fins"
-        yield (
+        _fail(
+            plant,
             "a fin in a batch with held commands differs from the same fin alone, tick by tick",
             asked,
         )
 
 
-def _strokes(plant: Plant) -> Iterator[Problem]:
+def _strokes(plant: Plant) -> None:
     # Raises PlantError for a plant that cannot be compared with others.
     identity(plant)
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
@@ -165,13 +168,14 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
         state, reading = stroke(state, command)
         for name, values in reading._asdict().items():
             if not jnp.isfinite(values).all():
-                yield (
+                _fail(
+                    plant,
                     f"reading.{name} is not finite under {command}",
                     "readings must be finite within the limits",
                 )
 
 
-def _gradient(plant: Plant) -> Iterator[Problem]:
+def _gradient(plant: Plant) -> None:
     def mean_force(angle: Array) -> Array:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
@@ -180,13 +184,14 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
     # for example.
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
-        yield (
+        _fail(
+            plant,
             f"the gradient of the force with respect to the command is {slope}",
             "it must be finite; check for sqrt at 0",
         )
 
 
-def _held_action(plant: Plant) -> Iterator[Problem]:
+def _held_action(plant: Plant) -> None:
     own: Any = getattr(plant, "hold_action", None)
     command = _stroke(plant)
     rows = PAPER_CLOCK.max_ticks
@@ -204,10 +209,12 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         numbers = [pair for pair in pairs if not _is_key(pair[0])]
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
             asked = f"it must return {rows} rows, and the state after the first `ticks` of them"
-            yield f"hold_action for {ticks} ticks differs from advance by {ticks} ticks", asked
+            _fail(
+                plant, f"hold_action for {ticks} ticks differs from advance by {ticks} ticks", asked
+            )
 
 
-def _true_force(plant: Plant) -> Iterator[Problem]:
+def _true_force(plant: Plant) -> None:
     if not isinstance(plant, TrueForcePlant):
         return
     corners = list(_corners(plant))
@@ -221,56 +228,65 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
         forces = jax.jit(jax.vmap(after))(commands)
     except Exception as error:
         asked = "write true_force(state) in jax.numpy, with no Python branches on values"
-        yield f"jit or vmap fails for true_force ({str(error).splitlines()[0]})", asked
-        return
+        _fail(plant, f"jit or vmap fails for true_force ({str(error).splitlines()[0]})", asked)
     if not isinstance(forces, jax.Array):
-        yield (
+        _fail(
+            plant,
             f"true_force returns a {type(forces).__name__}",
             "it must return an array of shape (2,)",
         )
-        return
-    if forces.shape[1:] != (2,):
-        yield f"true_force has shape {forces.shape[1:]}", "it must be (2,)"
-    if forces.dtype != jnp.float32:
-        yield f"true_force is {forces.dtype}", "it must be float32"
+    _array(plant, "true_force", forces[0], (2,))
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
-            yield f"true_force is not finite under {command}", "it must be finite within the limits"
+            _fail(
+                plant,
+                f"true_force is not finite under {command}",
+                "it must be finite within the limits",
+            )
 
 
-def _surrogate_members(surrogate: Any) -> Iterator[Problem]:
+def _surrogate_members(surrogate: Any) -> None:
     names = [name for name in dir(SurrogatePlant) if not name.startswith("_")]
     if missing := [name for name in names if not hasattr(surrogate, name)]:
-        yield (
+        _fail(
+            surrogate,
             f"has no {', '.join(missing)}",
             "a surrogate must have all members of softfin.surrogate.protocol.SurrogatePlant",
         )
     try:
         find_architecture(surrogate.model)
     except ConfigurationError as error:
-        yield f"model = {surrogate.model!r}", str(error)
+        _fail(surrogate, f"model = {surrogate.model!r}", str(error))
     count = surrogate.parameters()
     if not (isinstance(count, int) and count > 0):
-        yield f"parameters() is {count!r}", "it must be a positive int"
+        _fail(surrogate, f"parameters() is {count!r}", "it must be a positive int")
     fields = getattr(surrogate.init(jax.random.key(0)), "_fields", ("no field",))
     if fields[0] != "tick":
-        yield (
+        _fail(
+            surrogate,
             f"the state starts with {fields[0]}",
             "it must be a NamedTuple whose first field, tick, counts the samples since the start",
         )
 
 
-def _storage(surrogate: SurrogatePlant) -> Iterator[Problem]:
+def _storage(surrogate: SurrogatePlant) -> None:
     with tempfile.TemporaryDirectory() as parent:
         folder = Path(parent) / "surrogate"
         try:
             save_surrogate(folder, surrogate, None, {})
             loaded = load_surrogate(folder)
         except SoftfinError as error:
-            yield f"cannot be saved and loaded ({error})", "check to_files and Architecture.load"
-            return
+            _fail(
+                surrogate,
+                f"cannot be saved and loaded ({error})",
+                "check to_files and Architecture.load",
+            )
     if identity(loaded) != identity(surrogate):
-        yield "differs after saving and loading", "to_files must contain all that load needs"
+        _fail(
+            surrogate,
+            "differs after saving and loading",
+            "to_files must contain all that load needs",
+        )
 
 
 def _own_log(surrogate: SurrogatePlant) -> Log:
@@ -285,20 +301,19 @@ def _own_log(surrogate: SurrogatePlant) -> Log:
     return recorded
 
 
-def _logs(surrogate: SurrogatePlant) -> Iterator[Problem]:
-    log = _own_log(surrogate)
-    yield from _warm_up(surrogate, log)
-    yield from _predictions(surrogate, log)
-
-
-def _warm_up(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
+def _warm_up(surrogate: SurrogatePlant, log: Log) -> None:
     state = surrogate.warm(log)
     if _types(state) != _types(surrogate.init(jax.random.key(0))):
-        yield "warm and init return different states", "their shapes and types must be equal"
+        _fail(
+            surrogate,
+            "warm and init return different states",
+            "their shapes and types must be equal",
+        )
     command = jax.tree.map(lambda x: x[-1], log.command)
     reading = jax.jit(lambda state: surrogate.advance(state, command, 1)[1])(state)
     if not np.allclose(reading.time, log.reading.time[-1] + TICK_S, atol=TICK_S / 4):
-        yield (
+        _fail(
+            surrogate,
             f"after a history that ends at {log.reading.time[-1]:.2f} s, the next reading is at "
             f"{float(reading.time[0]):.2f} s",
             "warm must continue the time of the history",
@@ -307,26 +322,32 @@ def _warm_up(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
         surrogate.warm(jax.tree.map(lambda x: x[: surrogate.memory - 1], log))
     except LogError:
         return
-    yield "warm accepts fewer rows than memory", "it must raise a softfin.core.errors.LogError"
+    _fail(
+        surrogate,
+        "warm accepts fewer rows than memory",
+        "it must raise a softfin.core.errors.LogError",
+    )
 
 
-def _predictions(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
+def _predictions(surrogate: SurrogatePlant, log: Log) -> None:
     for name, prediction in surrogate.predictions([log]).items():
         if not {ANGLE, *FORCES}.issuperset(prediction.channels):
-            yield (
+            _fail(
+                surrogate,
                 f"predictions: {name} has the channels {', '.join(prediction.channels)}",
                 f"they must be among {ANGLE}, {', '.join(FORCES)}",
             )
         shapes = [np.shape(series) for series in prediction.series]
         width = len(prediction.channels)
         if len(shapes) != 1 or shapes[0] not in [(n, width) for n in range(1, log.rows + 1)]:
-            yield (
+            _fail(
+                surrogate,
                 f"predictions: {name} has series of shapes {shapes} for a log of {log.rows} rows",
                 f"there must be one series (rows, {width}) per log, of its last rows",
             )
 
 
-def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
+def _ensemble(surrogate: SurrogatePlant) -> None:
     if not isinstance(surrogate, EnsemblePlant):
         return
     state = surrogate.init(jax.random.key(0))
@@ -334,10 +355,10 @@ def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
     after, members = surrogate.advance_members(state, command, STROKE_TICKS)
     _, mean = surrogate.advance(state, command, STROKE_TICKS)
     if not np.allclose(mean.force, members.force.mean(axis=0), rtol=1e-3, atol=1e-4):
-        yield "advance differs from the mean of advance_members", "they must be equal"
+        _fail(surrogate, "advance differs from the mean of advance_members", "they must be equal")
     distance = np.asarray(surrogate.distance(after))
     if distance.shape != () or not np.isfinite(distance):
-        yield f"distance is {distance}", "it must be a finite number"
+        _fail(surrogate, f"distance is {distance}", "it must be a finite number")
 
 
 def _types(state: State) -> tuple[Any, list[Any]]:

@@ -197,7 +197,7 @@ NOT_ALONE = {
     "stuck force": (stuck_force, "stuck", "remove these rows"),
     "dead force": (always(0, "force_x_n"), "stuck", "remove these rows"),
     "stuck angle": (always(None, "angle_rad", slice(2000, 2500)), "stuck", "remove these rows"),
-    "other unit": (times(DEGREES / 3, "velocity_rad_s"), "velocity unit", "velocity's unit"),
+    "other unit": (times(DEGREES / 3, "velocity_rad_s"), "velocity unit", "velocity unit"),
     "other velocity": (velocity_of_something, "velocity", "map a different column"),
     "seam": (seam, "jumps", "--rows-per-log"),
     "no velocity": (always(0, "command_velocity_rad_s"), "command velocity", "map the column"),

@@ -90,7 +90,7 @@ def test_an_encoder_that_wraps_is_an_error_and_unwrapped_if_that_is_ignored(hz, 
     issue = next(one for one in issues if one.name == "wraps")
     assert (issue.severity, issue.column) == ("error", "angle")
     assert abs(wrapped[issue.row] - wrapped[issue.row - 1]) > 6
-    assert "set the encoder's zero at the fin's rest position" in issue.fix
+    assert "set the encoder zero at the rest position of the fin" in issue.fix
     expected = np.interp(one.log.reading.time, time, angle)
     np.testing.assert_allclose(one.log.reading.angle, expected, atol=0.02)
     assert np.abs(one.log.reading.velocity).max() < 8

@@ -355,6 +355,20 @@ def test_two_publishers_that_disagree_about_one_joint_are_found(
     ]
 
 
+def test_two_publishers_of_a_wrench_are_found(tmp_path, columns):
+    def add_zeros(messages):
+        between = [(t + 0.004, wrench(t + 0.004, 0.0, 0.0)) for t, _ in messages[::3]]
+        return sorted([*messages, *between], key=lambda each: each[0])
+
+    topics = topics_of(columns)
+    topics["/fin/wrench"] = add_zeros(topics["/fin/wrench"])
+    write_bag(tmp_path / "run", topics)
+    _, issues = opened(tmp_path / "run")
+    assert ("error", "two publishers", "force_x") in [
+        (issue.severity, issue.name, issue.column) for issue in issues
+    ]
+
+
 @pytest.mark.parametrize("rate_hz", [25, 50, 100, 1000])
 def test_a_fast_fin_and_spikes_are_not_two_publishers(rate_hz):
     time = np.arange(0, 30, 1 / rate_hz)

@@ -107,6 +107,12 @@ SAME = {
     "UTF-16, big-endian": b"\xfe\xff" + DEGREES.encode("utf-16-be"),
     "UTF-16 without a mark": DEGREES.encode("utf-16-le"),
     "UTF-16, big-endian without a mark": DEGREES.encode("utf-16-be"),
+    "UTF-16 after a line of other letters": ("測定\n" + DEGREES).encode("utf-16-le"),
+    "UTF-32": DEGREES.encode("utf-32"),
+    "UTF-32 without a mark": DEGREES.encode("utf-32-be"),
+    "NUL at the start": b"\0" * 301 + DEGREES.encode(),
+    "units above": joined([UNITS, NAMES, *cells(series())]),
+    "hash before a header with spaces": "# " + in_columns(PLAIN).lstrip(),
     "UTF-8 with a mark": DEGREES.encode("utf-8-sig"),
     "carriage returns": PLAIN.replace("\n", "\r"),
     "bars": PLAIN.replace(",", "|"),
@@ -116,6 +122,7 @@ SAME = {
     "dates with T": with_times(datetime.datetime.isoformat),
     "dates with AM and PM": with_times(half_days, "Date Time"),
     "dates and times": with_times(lambda moment: str(moment).replace(" ", ","), "Date,Time"),
+    "dates without separators": with_times(lambda moment: moment.strftime("%Y%m%dT%H%M%S.%f")),
     "minutes": with_times(lambda moment: moment.strftime("%M:%S.%f"), "time"),
     "milliseconds after a colon": with_times(
         lambda moment: moment.strftime("%H:%M:%S:%f")[:-3], "time"
@@ -404,3 +411,53 @@ def test_a_log_that_cannot_be_read_is_an_error_and_costs_no_other(tmp_path):
     (tmp_path / "run.csv").unlink()
     with pytest.raises(LogError, match="stone"):
         open_logs(tmp_path)
+
+
+@pytest.mark.parametrize("again", ["sep=,\n" + UNITS_BELOW, UNITS_BELOW])
+def test_a_header_with_units_that_comes_again_starts_a_log(tmp_path, again):
+    recordings = read(tmp_path / "run.csv", UNITS_BELOW + again)
+    assert kinds(recordings) == []
+    for recording in recordings:
+        check_values(recording)
+    assert len(recordings) == 2
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "form"), [(";", "{:,.2f}"), (",", '"{:,.2f}"'), (";", "{:,.0f}")]
+)
+def test_separators_of_thousands_and_units_in_cells_are_refused(tmp_path, delimiter, form):
+    rows = cells(series())
+    for row in rows:
+        row[5] = form.format(2000 * float(row[5]))
+    with pytest.raises(LogError, match=r"column 'Fx \[N\]': .* not plain numbers, the first"):
+        read(tmp_path / "run.csv", joined([HEADER, *rows], delimiter))
+
+
+def test_decimal_commas_with_three_decimals_are_no_thousands(tmp_path):
+    rows = [[f"{float(cell):.3f}".replace(".", ",") for cell in row] for row in cells(series())]
+    (recording,) = read(tmp_path / "run.csv", joined([HEADER, *rows], ";"))
+    np.testing.assert_allclose(recording.tracks[0].channels["force_y"], series()[6], atol=1e-3)
+
+
+def test_parquet_times_of_day_are_read(tmp_path):
+    time = pa.array(np.arange(ROWS) * 10, pa.int32()).cast(pa.time32("ms"))
+    table = pa.table([time, *series()[1:]], names=["time", *HEADER[1:]])
+    pq.write_table(table, tmp_path / "run.parquet")
+    (recording,) = read_table(tmp_path / "run.parquet", "run", "train", ImportConfig())
+    check_values(recording)
+
+
+def test_a_clock_on_a_grid_that_is_not_its_rate_is_a_warning(tmp_path):
+    values = cells(series())
+    for index, row in enumerate(values):
+        row[0] = f"{np.float32(70_000 + index / 100):.5f}"
+    recordings = read(tmp_path / "run.csv", joined([HEADER, *values]))
+    _, issues = build_logs(recordings[0], ImportConfig())
+    assert "coarse clock" in [one.name for one in issues]
+
+
+def test_the_unit_of_a_header_is_the_one_that_a_rate_is_judged_by(tmp_path):
+    content = PLAIN.replace("time [s]", "time [ms]")
+    (recording,) = read(tmp_path / "run.csv", content)
+    with pytest.raises(LogError, match="if the time is in s, use --time-unit s"):
+        build_logs(recording, ImportConfig())

@@ -160,7 +160,9 @@ def test_a_clock_that_is_too_slow_is_refused(speed):
             message._replace(stamp_ns=start_ns + round(speed * (message.stamp_ns - start_ns))),
         )
         rate_hz = round(320 / speed)
-        reason = rf"3\d\d messages arrive per second, but by their time stamps .* are {rate_hz};"
+        reason = (
+            rf"3\d\d messages arrive per second, but according to their timestamps .* is {rate_hz};"
+        )
         with pytest.raises(RigError, match=reason):
             sensor.open()
 

@@ -182,8 +182,8 @@ def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_
         "exclusive": None,
     }
     assert sorted(line.partition(";")[0] for line in told["told"]) == [
-        "/stop/exclusive: messages of a publisher cannot be received, so it cannot stop the fin",
-        "/stop/reference: messages of a publisher cannot be received",
+        "/stop/exclusive: messages from a publisher cannot be received, so it cannot stop the fin",
+        "/stop/reference: messages from a publisher cannot be received",
     ]
 
 
@@ -341,7 +341,7 @@ def test_rclpy_is_asked_for_only_where_it_is(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(
         RigError,
-        match="rclpy is not installed in this Python environment; source ROS 2's setup file",
+        match="rclpy is not installed in this Python environment; source the ROS 2 setup file",
     ):
         open_transport(TransportConfig(transport="rclpy"))
 

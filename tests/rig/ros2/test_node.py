@@ -260,11 +260,11 @@ def test_a_stop_that_cannot_be_read_counts_once_however_many_readers_it_comes_to
     [
         (
             "/fin/stop",
-            "/fin/stop: messages of a publisher cannot be received, so it cannot stop the fin; use ROS 2's",
+            "/fin/stop: messages from a publisher cannot be received, so it cannot stop the fin; use the",
         ),
         (
             "/fin/reference",
-            "/fin/reference: messages of a publisher cannot be received; it must be reliable, not best effort",
+            "/fin/reference: messages from a publisher cannot be received; its quality of service must be reliable",
         ),
     ],
 )

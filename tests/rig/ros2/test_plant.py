@@ -336,7 +336,7 @@ def test_a_second_publisher_of_readings_is_refused_and_reported_immediately(topi
 
 
 def test_a_second_publisher_of_commands_is_refused_and_reported_immediately(rig):
-    words = "/command: teleop may also command this fin; end that program first"
+    words = "/command: teleop may also command this fin; close that program first"
     rig.transport.commanders = ["teleop"]
     with pytest.raises(DeviceError, match=words):
         rig.machine.enable()

@@ -180,7 +180,7 @@ def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
     for k in range(11):
         assert recorder.failure is None
         recorder.event(float(k), "x")
-    assert "10 rows wait for the disk" in recorder.failure
+    assert "10 rows are waiting to be written" in recorder.failure
     recorder.close()
     assert recorder._thread.is_alive()
     hold.set()
@@ -194,7 +194,7 @@ def test_a_disk_that_takes_nothing_for_long_is_told_at_the_next_row(tmp_path, mo
     assert recorder.failure is None
     monkeypatch.setattr(bag_writer, "STALL_S", 0.0)
     recorder.event(2.0, "second")
-    assert "1 rows wait for the disk" in recorder.failure
+    assert "1 rows are waiting to be written" in recorder.failure
     recorder.close()
     assert [row[1] for row in by_rosbags(recorder.path)[EVENTS]] == ["first", "second"]
 
@@ -205,7 +205,7 @@ def test_a_disk_that_is_too_slow_is_told(tmp_path, monkeypatch):
     recorder = BagRecorder(tmp_path / "run.mcap")
     for k in range(25):
         recorder.event(float(k), "x")
-    assert "10 rows wait for the disk" in recorder.failure
+    assert "10 rows are waiting to be written" in recorder.failure
     recorder.close()
     assert len(by_rosbags(recorder.path)[EVENTS]) == 10
 

@@ -115,7 +115,7 @@ def followed(profile, commands):
     waiting = Command(jnp.zeros(MAX_DELAY), jnp.ones(MAX_DELAY))
 
     def step(state, command):
-        return profile.step(state, command)[0], profile.motion(state)
+        return profile.step(state, command)[0], profile.shaft(state.motion)
 
     return jax.lax.scan(step, profile.start(still, waiting), commands)[1]
 

@@ -78,7 +78,7 @@ def test_a_profile_in_motion_begins_where_the_shaft_is_and_with_what_was_command
     profile = Profile(lag=0.03, delay=MAX_DELAY)
     now = Motion(jnp.float32(0.4), jnp.float32(1.5))
     state = profile.start(now, Command(jnp.full(MAX_DELAY, 0.9), jnp.full(MAX_DELAY, 1.5)))
-    for one, other in zip(profile.motion(state), now, strict=True):
+    for one, other in zip(profile.shaft(state.motion), now, strict=True):
         assert float(one) == pytest.approx(float(other), abs=1e-6)
     for _ in range(MAX_DELAY):
         state, obeyed = profile.step(state, Command(jnp.float32(-1.0), jnp.float32(3.0)))

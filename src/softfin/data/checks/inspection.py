@@ -110,8 +110,10 @@ def inspect(
         own = config.model_copy(update={"angles": angles})
         log = CheckedLog(raw, columns, calm, statistics[-1], own)
         in_counts = list(check_counts(log))
-        if in_counts:
-            # No other check is meaningful while the scale and zero of an angle are unknown.
+        is_short = len(raw.angle) < RATE_HZ
+        if in_counts or is_short:
+            # No other check is meaningful while an angle's scale and zero are unknown, or within a
+            # second.
             found += in_counts
         else:
             series.append(calm)

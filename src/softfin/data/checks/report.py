@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,37 +59,28 @@ def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figur
         totals = [counted(count, kind) for kind, count in counts.items()]
         above.suptitle(", ".join(totals), weight="bold")
         plots = above.subplots(2, 1, sharex=True).tolist()
-        _draw_log(plots, _choose_section(inspection.issues, logs))
+        _draw_log(plots, inspection.issues, logs)
         lags, frames = below.subplots(1, 2)
         _draw_lags(lags, inspection)
         _draw_frames(frames, inspection)
     return figure
 
 
-class _Section(NamedTuple):
-    """The rows of a log that the figure shows."""
-
-    shown: NamedLog
-    row: int
-    marked: Issue | None
-    """Most severe issue that has a row in a log."""
-
-
-def _choose_section(issues: Sequence[Issue], logs: Sequence[NamedLog]) -> _Section:
+def _draw_log(plots: Sequence[Axes], issues: Sequence[Issue], logs: Sequence[NamedLog]) -> None:
+    """Draw angle and force below each other, around the row of the most severe issue that has a
+    row in a log."""
     by_name = {one.name: one for one in logs}
+    shown = logs[0]
+    row = 0
+    title_end = ""
     marked = next(
         (issue for issue in issues if issue.log in by_name and issue.row is not None), None
     )
-    if marked is None:
-        return _Section(logs[0], 0, None)
-    return _Section(by_name[marked.log], marked.row or 0, marked)
-
-
-def _draw_log(plots: Sequence[Axes], section: _Section) -> None:
-    """Draw angle and force below each other."""
-    shown, row, marked = section
+    if marked is not None:
+        shown = by_name[marked.log]
+        row = marked.row or 0
+        title_end = f" around row {row}: {marked.name}"
     above, below = plots
-    title_end = "" if marked is None else f" around row {row}: {marked.name}"
     # A third of the section lies before the marked row, unless the log ends earlier.
     num_rows = SHOWN_LOG_S * RATE_HZ
     start = max(0, min(row - num_rows // 3, shown.log.rows - num_rows))

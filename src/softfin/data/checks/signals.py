@@ -54,8 +54,10 @@ def without_spikes(values: LogSeries) -> LogSeries:
 
 
 def frozen_runs(values: LogSeries) -> list[tuple[int, int]]:
-    """Return the runs of at least a second in which a channel changes by at most one count, the
-    smallest usual step, in either direction."""
+    """Return the runs of a second and more in which a channel keeps its value but for one count,
+    the smallest usual step, in either direction."""
+    if len(values) < RATE_HZ:
+        return []
     steps = np.abs(np.diff(values))
     count = float(np.percentile(steps[steps > 0], 1)) if steps.any() else 0.0
     # One count of a coarse channel is not small.
@@ -101,6 +103,8 @@ def velocity_ratio(angle: LogSeries, velocity: LogSeries) -> tuple[float, float]
     """Return the correlation between the changes of the angle and of the integrated velocity over
     half a second, and their ratio; both are 0 if either is constant."""
     ticks = RATE_HZ // 2
+    if len(angle) <= ticks:
+        return 0.0, 0.0
     change = angle[ticks:] - angle[:-ticks]
     expected = np.convolve(velocity[1:], np.full(ticks, TICK_S), "valid")
     if change.std() < 0.02 or velocity.std() == 0:

@@ -28,6 +28,9 @@ RATES_HZ = (5.0, 20_000.0)
 MAX_GRID_S = 0.002
 """Coarsest plausible clock resolution, unless the clock counts rows [s]."""
 
+MAX_LONG_STEPS = 0.15
+"""Largest plausible share of such a clock's steps that are longer than the others."""
+
 CUTOFF_HZ = 40.0
 """Frequency at which the low-pass filter halves the amplitude [Hz]: below the Nyquist frequency
 (50 Hz) of the logs and above the frequencies of fin motion."""
@@ -267,9 +270,9 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
         f"jumps by a full turn in {wraps.size:,} of {len(track.time):,} rows: the encoder wraps"
     )
     fix = (
-        "set the encoder's zero at the fin's rest position, so that it does not wrap within the "
-        "fin's range, and record again; with --ignore-errors wraps, the angle is unwrapped so that "
-        "its median is close to 0"
+        "set the encoder zero at the rest position of the fin, so that the angle does not wrap "
+        "within the range of the fin, and record again; with --ignore-errors wraps, the angle is "
+        "unwrapped so that its median is close to 0"
     )
     issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
     angle = unwrapped(track.channels["angle"])
@@ -286,10 +289,9 @@ def _check_rate(track: Track, name: str, config: ImportConfig) -> list[Issue]:
             f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; {_rate_fix(rate, config)}"
         )
     grid = float(steps.min())
-    rows = 1 / (rate * grid)
     is_on_grid = bool((np.abs(steps % grid - grid / 2) > 0.49 * grid).all())
-    # The steps of a steady clock are also on a grid, defined by its rate.
-    if is_on_grid and grid > MAX_GRID_S and abs(rows - round(rows)) > 0.05:
+    # A steady clock has all its steps on a grid, too, but few longer ones.
+    if is_on_grid and grid > MAX_GRID_S and np.mean(steps > 1.5 * grid) > MAX_LONG_STEPS:
         message = f"all steps of the clock are multiples of {1e3 * grid:.3g} ms"
         fix = (
             "record the time with more digits; if the rows of a table are evenly spaced, use "
@@ -360,8 +362,8 @@ def _split_at_gaps(
             channels = "/".join(track.channels)
             times.append(f"{channels} {track.time[0]:.2f} .. {track.time[-1]:.2f} s")
         raise LogError(
-            f"{name}: the channels have no time in common: {'; '.join(times)}; stamp all channels "
-            "with one clock"
+            f"{name}: the channels have no time in common: {'; '.join(times)}; timestamp all "
+            "channels with the same clock"
         )
     gaps = _find_gaps(reading, (begin, end), config)
     if not gaps:
@@ -449,7 +451,7 @@ def _further_channels(
         longest_s = float(np.diff(inside, prepend=span[0], append=span[1]).max())
         if longest_s > config.gap_s + TICK_S:
             text = f"no values for up to {longest_s:.3g} s"
-            fix = "values between are interpolated, the first and the last one are held"
+            fix = "missing values are interpolated, and the first and last values are held"
             if not inside.size:
                 fix = "the channel is left out"
             issues.append(Issue("warning", "channel gap", name, text, fix, channel))

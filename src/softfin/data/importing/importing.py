@@ -60,9 +60,9 @@ class ImportConfig(Configuration):
     negate: Annotated[tuple[Literal[SignedChannel, FurtherChannel], ...], NAMES] = ()
     """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""
+    """Delay of the command timestamps relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the force time stamps relative to the angle [ms]; softfin removes it."""
+    """Delay of the force timestamps relative to the angle [ms]; softfin removes it."""
     rows_per_log: int | None = pydantic.Field(default=None, ge=2)
     """Number of rows per log in files that contain several logs end to end; 20000 in the paper."""
     test: str | None = None

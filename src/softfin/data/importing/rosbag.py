@@ -138,8 +138,8 @@ def _check_clocks(tracks: list[Track], config: ImportConfig, path: Path) -> None
     end = min(float(track.time.max()) for track in tracks)
     if config.stamps == "header" and begin - end > MAX_CLOCK_OFFSET_S:
         raise LogError(
-            f"{path}: the stamps are on different clocks: one topic ends at {end:,.0f} s, another "
-            f"starts at {begin:,.0f} s; use the times of logging with --stamps logging"
+            f"{path}: the timestamps are from different clocks: one topic ends at {end:,.0f} s, "
+            f"another starts at {begin:,.0f} s; use the logging times with --stamps logging"
         )
 
 
@@ -259,15 +259,15 @@ def _read_topic(
     # Missing values in additional channels cost no rows.
     needed = np.array([channels[channel] for channel in channels.keys() & set(CHANNELS)])
     is_finite = np.isfinite(needed).all(axis=0)
-    dropped["without a stamp"] = int((~is_stamped).sum())
+    dropped["without a timestamp"] = int((~is_stamped).sum())
     dropped["with values that are not numbers"] = int((is_stamped & ~is_finite).sum())
     track = track.take(is_stamped & is_finite)
     if not len(track.time):
         raise _unusable_error(where, role, dropped)
     is_repeated = np.diff(track.time, prepend=np.nan) == 0
-    dropped["with a repeated stamp"] = int(is_repeated.sum())
+    dropped["with a repeated timestamp"] = int(is_repeated.sum())
     if +dropped:
-        text = f"{topic}: of {len(messages):,} messages, these are dropped: {_reasons(dropped)}"
+        text = f"{topic}: of {len(messages):,} messages, some are dropped: {_reasons(dropped)}"
         severity: Severity = "note" if (+dropped).keys() == {OTHER_JOINTS} else "warning"
         issues.append(Issue(severity, "dropped messages", name, _plain(text), "", role))
     return track.take(~is_repeated), issues
@@ -325,10 +325,10 @@ def _times(
         return np.where(np.array(stamps) == 0, np.nan, _seconds(stamps)), []
     # A command is valid until the next one, so no command may be dropped.
     text = (
-        f"{topic}: {unstamped:,} of {len(stamps):,} messages have no stamp; the logging times are "
-        "used"
+        f"{topic}: {unstamped:,} of {len(stamps):,} messages have no timestamp; the logging times "
+        "are used"
     )
-    fix = "stamp each message when it is measured, because logging adds a varying delay"
+    fix = "timestamp each message at the time of measurement, because logging adds a varying delay"
     severity: Severity = "warning" if hasattr(decoded[0][1], "header") else "note"
     return _seconds(logged), [Issue(severity, "no stamps", name, text, fix, role)]
 
@@ -422,7 +422,7 @@ def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: P
     suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
     bag = "ROS 1 bag" if path.suffix.lower() == ".bag" else "bag"
     fix = f"set it with --topics {role}={suggestion}"
-    if not set(READABLE_TYPES[role]) & set(types.values()):
+    if not likely & set(types.values()):
         fix = f"record the {role} as well, as {' or '.join(READABLE_TYPES[role])}"
     return LogError(
         f"{path}: no messages on topic {topic} for the {role}; the {bag} has {listed}; {fix}"

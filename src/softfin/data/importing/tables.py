@@ -35,11 +35,11 @@ MAX_MISSING_SHARE = 0.1
 its own rows."""
 
 
-MISSING = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
-"""Pattern of a missing number."""
+MISSING_TEXTS = r"(?i)^[-+]?(?:|nan.*|null|none|n/?a|-+|1\.#.*|inf.*)$"
+"""Texts in place of a missing number."""
 
-GROUPED = r"^[-+]?[1-9]\d{0,2}(?:,\d{3})+$"
-"""Pattern of an integer with thousands separators, which could also be decimal commas."""
+GROUPED = r"^[-+]?[1-9]\d{0,2}(?:[.,]\d{3})+$"
+"""An integer with thousands separators, unless these are decimal separators."""
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
@@ -161,31 +161,34 @@ def _read_column(
     if channel == "time" and not np.isfinite(numbers).any():
         numbers = _parse_clock(values)
         column = Column(column.name, "s", True)
+    _check_cells(values, numbers, f"{path}: column {column.name!r}")
     if not np.isfinite(numbers).any():
         raise LogError(
             f"{path}: column {column.name!r} contains no numbers (first {values[0].as_py()!r}); "
             f"choose a different column with --columns {channel}=NAME"
         )
     check_unit(channel, column, str(path))
-    _check_cells(values, numbers, f"{path}: column {column.name!r}")
     return numbers, column
 
 
 def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], source: str) -> None:
     """Raise LogError if many cells are neither numbers nor missing, or if commas may separate
     thousands."""
-    is_missing = pc.match_substring_regex(values, MISSING)
-    is_other = np.isnan(numbers) & ~np.asarray(pc.fill_null(is_missing, True))
-    has_comma = np.asarray(pc.fill_null(pc.match_substring(values, ","), False))
+    is_text = pc.or_(
+        pc.match_substring_regex(values, MISSING_TEXTS),
+        pc.invert(pc.match_substring_regex(values, r"\d")),
+    )
+    is_other = np.isnan(numbers) & ~np.asarray(pc.fill_null(is_text, True))
+    has_sign = np.asarray(pc.fill_null(pc.match_substring_regex(values, "[.,]"), False))
     is_grouped = np.asarray(pc.fill_null(pc.match_substring_regex(values, GROUPED), False))
-    is_ambiguous = has_comma.sum() >= 10 and (~has_comma & ~np.isnan(numbers)).any()
-    if is_ambiguous and (has_comma == is_grouped).all():
+    is_ambiguous = has_sign.sum() >= 10 and (~has_sign & ~np.isnan(numbers)).any()
+    if is_ambiguous and (has_sign == is_grouped).all():
         is_other = is_grouped
     if is_other.sum() > MAX_MISSING_SHARE * len(numbers) or is_other is is_grouped:
         cell = values[int(is_other.argmax())].as_py()
         raise LogError(
             f"{source}: {is_other.sum():,} cells are not plain numbers, the first {cell!r}; save "
-            "the file without separators of thousands and without units in the cells"
+            "the file without thousands separators or units in the cells"
         )
 
 

@@ -32,8 +32,8 @@ MIN_COLUMNS = 4
 
 COMMENT = re.compile(r"\s*(#|%|//|\"?sep=|$)", re.IGNORECASE)
 
-ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "012": "utf-32-be"}
-"""Encodings, keyed by the positions within four bytes that are often NUL."""
+UNICODE_ENCODINGS = {"13": "utf-16-le", "02": "utf-16-be", "123": "utf-32-le", "012": "utf-32-be"}
+"""Encodings by the places of four bytes that are often NUL."""
 
 
 class Table(NamedTuple):
@@ -115,9 +115,10 @@ def _decode(data: bytes) -> str:
         str(place) for place in range(4) if 3 * is_nul[place::4].sum() > len(is_nul) / 4
     )
     try:
-        return data.decode(ENCODINGS.get(places, "utf-8")).removeprefix("\ufeff")
+        return data.decode(UNICODE_ENCODINGS.get(places, "utf-8")).removeprefix("\ufeff")
     except UnicodeDecodeError:
-        return data.decode("cp1252", "replace")
+        # The degree sign of old Macs.
+        return data.decode("cp1252", "replace").replace("¡", "°")
 
 
 def _is_cut(body: str) -> bool:
@@ -143,7 +144,7 @@ def _find_layout(text: str, path: Path) -> _Layout:
         )
     raise NotALogError(
         f"{path}: no rows of numbers below a header with the names of at least {MIN_COLUMNS} "
-        "columns; use the file of a log"
+        "columns; use a file that contains a log"
     )
 
 

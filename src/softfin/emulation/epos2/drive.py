@@ -250,8 +250,7 @@ class EmulatedDrive:
         return abs(self._demand() - self.motor.position) > self._value(protocol.FOLLOWING_ERROR)
 
     def _value(self, entry: Object) -> int:
-        value: int = entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0]
-        return value
+        return int(entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0])
 
     def _option(self, entry: Object, default: int) -> int:
         """Return the value of an optional object; `default` is the behaviour of a drive without

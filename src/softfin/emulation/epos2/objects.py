@@ -113,15 +113,18 @@ def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONL
     return found
 
 
+MappedObjects = dict[int, list[tuple[int, int, int]]]
+"""Index, sub-index and length in bytes of the mapped objects, by COB-ID."""
+
+
 class ProcessData:
     """PDOs of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
     def __init__(self, node: canopen.LocalNode, send: Callable[[int, bytes], None]) -> None:
         self._node = node
         self._send = send
-        self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}
-        """Cache of the enabled PDOs by first object: index, sub-index and length in bytes of the
-        mapped objects, by COB-ID. Cleared when a PDO object is written."""
+        self.enabled: dict[int, MappedObjects] = {}
+        """Cache of the enabled PDOs by first object; cleared when a PDO object is written."""
 
     def synchronise(self) -> None:
         """Send the TPDOs in response to a SYNC."""
@@ -153,7 +156,7 @@ class ProcessData:
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
 
-    def _enabled(self, first: int) -> dict[int, list[tuple[int, int, int]]]:
+    def _enabled(self, first: int) -> MappedObjects:
         if first not in self.enabled:
             found = self.enabled[first] = {}
             for number in range(first, first + PDOS):
@@ -167,7 +170,5 @@ class ProcessData:
         return self.enabled[first]
 
     def _value(self, number: int, sub: int, form: str) -> int:
-        value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[
-            0
-        ]
-        return value
+        layout = Object(number, sub, form, "").layout
+        return int(layout.unpack(self._node.get_data(number, sub))[0])

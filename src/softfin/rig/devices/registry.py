@@ -19,7 +19,7 @@ DEVICES = {
     "axia80": "softfin.rig.devices.axia80.sensor:AXIA80",
     "lines": "softfin.rig.devices.lines.sensor:LINES",
 }
-"""softfin's own devices; their modules are imported when they are used."""
+"""Built-in devices; their modules are imported when they are used."""
 
 Kind = TypeVar("Kind", DriveType[Any], ForceSensorType[Any])
 
@@ -47,7 +47,7 @@ def find_device(kind: type[Kind], name: str) -> Kind:
     if found is None:
         raise RigError(
             f"type {name!r}: unknown {what}; use one of {', '.join(sorted(devices))}, or install "
-            "the package of the device"
+            "the package for the device"
         )
     try:
         device = found.load()
@@ -55,7 +55,7 @@ def find_device(kind: type[Kind], name: str) -> Kind:
         # The package of a device may raise any exception.
         raise RigError(
             f"type {name!r}: {found.value} cannot be imported ({one_line(error)}); reinstall the "
-            "package of the device"
+            "package for the device"
         ) from None
     if not isinstance(device, kind):
         raise RigError(f"type {name!r}: {found.value} is not a {what}; use a different type")

@@ -31,7 +31,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-"""Security headers: the page must not load anything from elsewhere or be embedded in another
+"""Security headers: the page must not load anything from elsewhere or be embedded in a different
 page."""
 
 

@@ -28,20 +28,6 @@ REST_RAD = 0.01
 exceeds encoder noise."""
 
 
-class RestWatch:
-    """Detection of a fin at rest from new readings."""
-
-    def __init__(self) -> None:
-        self._since: tuple[float, float] | None = None
-
-    def is_at_rest(self, time: float, angle: float) -> bool:
-        """Process a reading at `time` [s] and `angle` [rad], and return whether the fin is at rest;
-        a repeated reading has no effect."""
-        if self._since is None or abs(angle - self._since[1]) > REST_RAD:
-            self._since = (time, angle)
-        return time - self._since[0] >= REST_S
-
-
 def brake(
     clock: Clock, sends: Sequence[Callable[[], None]], look: Callable[[], tuple[float, float]]
 ) -> bool:
@@ -61,10 +47,14 @@ def brake(
             is_over.wait(REPEAT_S)
 
     def watch() -> None:
-        rest = RestWatch()
+        # The reading since which the fin has not turned; a repeated reading changes nothing.
+        since: tuple[float, float] | None = None
         while not is_over.is_set():
             with contextlib.suppress(Exception):
-                if rest.is_at_rest(*look()):
+                time, angle = look()
+                if since is None or abs(angle - since[1]) > REST_RAD:
+                    since = (time, angle)
+                if time - since[0] >= REST_S:
                     at_rest.set()
                     return
             is_over.wait(LOOK_S)

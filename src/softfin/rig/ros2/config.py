@@ -44,7 +44,7 @@ class TransportConfig(Configuration):
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain (default: the environment variable ROS_DOMAIN_ID, or 0)."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
-    """Network interface for DDS, e.g. eth0, not for rclpy (default: this computer only)."""
+    """Network interface for DDS only, e.g. eth0 (default: this computer only)."""
     node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
     """Node name, used with rclpy."""
 

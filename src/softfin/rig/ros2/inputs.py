@@ -48,19 +48,20 @@ class NewestReference(Generic[InputValue]):
         """Whether references were received and the latest one has expired."""
 
     def newest(self) -> InputValue | None:
-        """Return the latest reference; None if there is no reference or it has expired. An expiry
-        is reported."""
+        """Return the latest reference; None if there is none or it has expired, which is
+        reported."""
+        subscription = self.subscription
+        topic = subscription.topic
         try:
-            self._newest = next(reversed(self.subscription.take()), self._newest)
+            self._newest = next(reversed(subscription.take()), self._newest)
         except DeviceError as error:
             self._once(str(error))
-        if self.subscription.refusal is not None:
-            self._once(self.subscription.refusal)
-        if self.subscription.mismatched():
-            topic = self.subscription.topic
+        if subscription.refusal is not None:
+            self._once(subscription.refusal)
+        if subscription.mismatched():
             self._once(
-                f"{topic}: messages of a publisher cannot be received; it must be reliable, not "
-                "best effort"
+                f"{topic}: messages from a publisher cannot be received; its quality of service "
+                "must be reliable, not best effort"
             )
         newest = self._newest
         timeout = self._timeout
@@ -68,7 +69,6 @@ class NewestReference(Generic[InputValue]):
             self.is_lost = timeout is not None and self._clock() - newest[0] > timeout
         if newest is not None and self.is_lost:
             self._newest = newest = None
-            topic = self.subscription.topic
             self._once.report(
                 f"{topic}: no reference for {timeout:g} s, so the last one has expired"
             )
@@ -112,10 +112,10 @@ class EmergencyStop:
                 # quality.
                 if self._subscriptions["best_effort"].mismatched():
                     problem = (
-                        "messages of a publisher cannot be received, so it cannot stop the fin"
+                        "messages from a publisher cannot be received, so it cannot stop the fin"
                     )
                     self._once(
-                        f"{self._topic}: {problem}; use ROS 2's default quality of service for it"
+                        f"{self._topic}: {problem}; use the default quality of service of ROS 2"
                     )
             except DeviceError as error:
                 self._reason = f"emergency stop cannot be received: {error}"

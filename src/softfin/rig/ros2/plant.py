@@ -58,7 +58,7 @@ def open_transport(config: TransportConfig, types: Typestore | None = None) -> T
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(
-            "rclpy is not installed in this Python environment; source ROS 2's setup file, or "
+            "rclpy is not installed in this Python environment; source the ROS 2 setup file, or "
             "use transport: dds"
         )
     if config.transport == "rclpy" or (config.transport == "auto" and installed):
@@ -337,7 +337,7 @@ class Ros2Machine:
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(
                 f"the fin is at {angle:.3f} rad, outside {limits.angle_min:.3f} to "
-                f"{limits.angle_max:.3f} rad; move it back with its own driver"
+                f"{limits.angle_max:.3f} rad; move the fin back with its own driver"
             )
         if problems := self._explain_publishers(topics.transport, topics.joint, topics.wrench):
             raise DeviceError(problems[0])
@@ -448,7 +448,7 @@ class Ros2Machine:
         topic = self.config.command_topic
         if others := transport.publishers(topic):
             lines.append(
-                f"{topic}: {', '.join(others)} may also command this fin; end that program first"
+                f"{topic}: {', '.join(others)} may also command this fin; close that program first"
             )
         return [line for line in lines if line is not None]
 

@@ -21,14 +21,15 @@ class RclpyTransport:
     """Transport over rclpy, with its own context, node and receiver thread."""
 
     notes: tuple[str, ...] = (
-        "rclpy's discovery range is set by ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE",
+        "the discovery range of rclpy is set by ROS_LOCALHOST_ONLY and "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE",
     )
 
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:
             raise RigError(
-                f"--network {config.network} applies only to DDS; rclpy uses ROS 2's own network "
-                "settings, so remove --network"
+                f"--network {config.network} applies only to DDS; rclpy uses the network settings "
+                "of ROS 2, so remove --network"
             )
         try:
             rclpy, executors, signals = map(

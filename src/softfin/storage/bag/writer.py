@@ -154,7 +154,7 @@ class BagRecorder:
         # The loop must not wait: rows beyond the backlog are dropped, and the recording is treated
         # as failed.
         if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
-            self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
+            self._fail(f"{waiting:,} rows are waiting to be written", "record on a faster disk")
         if waiting < BACKLOG:
             self._queue.put((topic, time, values))
 

@@ -5,7 +5,7 @@ Adam minimizes the mean squared error of the scaled outputs. For each network, t
 lowest error on held-out logs are kept, and training stops early if neither network improves.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -86,11 +86,6 @@ def fit_paper(
         state, done = resumed
     record = run_directory.log(rewind_to=done["epoch"])
 
-    def report(call: int, mse: Nets) -> None:
-        if progress is not None:
-            note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
-            progress("fit", (epoch + call / calls) / config.epochs, note)
-
     while done["epoch"] < config.epochs and done["stale"] < PATIENCE:
         epoch = done["epoch"]
         # Order and dropout depend only on the seed and the epoch, so resumed and uninterrupted runs
@@ -98,7 +93,13 @@ def fit_paper(
         shuffled = named_generator(seed, f"fit/epoch/{epoch}").permutation(starts)
         batches = shuffled[: updates * config.batch].reshape(calls, -1, config.batch)
         key = named_key(seed, f"fit/dropout/{epoch}")
-        state, losses = _run_epoch(learner, state, table, batches, key, report)
+        losses = []
+        for call, call_batches in enumerate(batches, 1):
+            state, mse = learner.run(state, table, jnp.asarray(call_batches), key)
+            losses.append(mse)
+            if progress is not None:
+                note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
+                progress("fit", (epoch + call / calls) / config.epochs, note)
         held_out = Nets(
             _mean_square_error(state.nets.posnet, scaling, holding),
             _mean_square_error(state.nets.forcenet, scaling, holding),
@@ -114,23 +115,6 @@ def fit_paper(
         # removed.
         run_directory.save(state, done)
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
-
-
-def _run_epoch(
-    learner: "PaperLearner",
-    state: TrainingState,
-    table: Float[Array, "rows channels"],
-    batches: Int[np.ndarray, "calls updates batch"],
-    key: PRNGKeyArray,
-    report: Callable[[int, Nets], None],
-) -> tuple[TrainingState, list[Nets]]:
-    """Train on all batches; return the mean losses of each call."""
-    losses = []
-    for call, call_batches in enumerate(batches, 1):
-        state, mse = learner.run(state, table, jnp.asarray(call_batches), key)
-        losses.append(mse)
-        report(call, mse)
-    return state, losses
 
 
 def split(

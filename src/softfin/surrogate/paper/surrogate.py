@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import ArtifactError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, check_commands, check_key, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
-from softfin.surrogate.training import name_net_arrays, restored
+from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 
 class SurrogateState(NamedTuple):
@@ -50,8 +50,8 @@ class Surrogate(eqx.Module):
         forcenet = self.forcenet.config.window
         if posnet != forcenet:
             raise ArtifactError(
-                f"surrogate: PosNet has a window of {posnet} samples and ForceNet of {forcenet}; "
-                "the windows must be equal"
+                f"surrogate: PosNet has a window of {posnet} samples and ForceNet has a window of "
+                f"{forcenet}; the windows must be equal"
             )
 
     @property
@@ -85,10 +85,7 @@ class Surrogate(eqx.Module):
         Raises:
             LogError: If the history is too short.
         """
-        if history.rows < self.memory:
-            raise LogError(
-                f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
-            )
+        check_history(history, self.memory)
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
         # The state ends with the command before the last row, because the next call of `advance`
         # appends the command of the last row. This call also drops the oldest entry before any

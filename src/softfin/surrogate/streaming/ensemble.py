@@ -227,8 +227,8 @@ class Interval(Configuration):
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
-            f"intervals are calibrated on {counted(self.logs, 'held-out log')} and widened for "
-            f"that small number; with fewer than {ENOUGH_LOGS} logs they may miss differences "
+            f"intervals are calibrated on {counted(self.logs, 'held-out log')} and widened because "
+            f"there are so few; with fewer than {ENOUGH_LOGS} logs they may miss differences "
             "between logs, such as sensor drift"
         )
 

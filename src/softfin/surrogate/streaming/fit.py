@@ -277,7 +277,7 @@ def fit_streaming(
         states, done = resumed
     else:
         if progress is not None:
-            progress("fit", 0.0, "identifying the drive's profile from the logs")
+            progress("fit", 0.0, "identifying the drive profile from the logs")
         identified, _ = identify(training, seed)
         # All members share the profile.
         profile = jax.tree.map(lambda x: jnp.full((config.members, *x.shape), x), identified)
@@ -364,9 +364,9 @@ def split_streaming(
     holding = [log for log in held_out if log.rows >= needed]
     if not holding:
         raise LogError(
-            f"held-out logs: none of {len(held_out)} has {needed} rows, which intervals for the "
-            f"mean over {PAPER_CLOCK.window_ticks} samples after burn_in = {config.burn_in} "
-            "require; record longer logs"
+            f"held-out logs: none of {len(held_out)} has the {needed} rows that are required for "
+            f"intervals of the mean over {PAPER_CLOCK.window_ticks} samples after burn_in = "
+            f"{config.burn_in}; record longer logs"
         )
     return training, holding, measure_scales(training), Table.of(training, config.ticks)
 

@@ -172,8 +172,8 @@ class FollowingNet(eqx.Module):
         # gradients.
         fixed: Profile = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
-        before = fixed.motion(state.profile)
-        now = fixed.motion(profile)
+        before = fixed.shaft(state.profile.motion)
+        now = fixed.shaft(profile.motion)
         velocity = self.scales.velocity_rad_s
         change = self.scales.change_rad_s
         behind = target.angle - now.angle

@@ -38,10 +38,8 @@ STARTS = 4
 class ProfileState(NamedTuple):
     """State of the profile between ticks."""
 
-    angle: Float[AnyArray, ""]
-    """Angle of the profile [rad]."""
-    velocity: Float[AnyArray, ""]
-    """Velocity of the profile [rad/s]."""
+    motion: Motion
+    """Motion of the profile, without lag."""
     waiting: Command
     """Commands of the last `MAX_DELAY` ticks, newest first."""
 
@@ -71,16 +69,17 @@ class Profile(eqx.Module):
     def start(self, motion: Motion, waiting: Command) -> ProfileState:
         """Return the state for a motion and the commands of the last `MAX_DELAY` ticks, newest
         first."""
-        return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
+        ahead = motion._replace(angle=motion.angle + self.lag * motion.velocity)
+        return ProfileState(ahead, waiting)
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
         """Advance by one tick under a new command; also return the command in effect, converted to
         a measured angle and a profile velocity."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         target = self.target(delayed(queue, self.delay))
-        after = self.follow(Motion(state.angle, state.velocity), target)
+        after = self.follow(state.motion, target)
         waiting = jax.tree.map(lambda channel: channel[:-1], queue)
-        return ProfileState(after.angle, after.velocity, waiting), target
+        return ProfileState(after, waiting), target
 
     def target(self, obeyed: Command) -> Command:
         """Convert the command in effect to a measured angle and a profile velocity."""
@@ -100,9 +99,9 @@ class Profile(eqx.Module):
             velocity = after
         return Motion(angle, velocity)
 
-    def motion(self, state: ProfileState | Motion) -> Motion:
+    def shaft(self, profile: Motion) -> Motion:
         """Return the motion of the shaft that follows the profile."""
-        return Motion(state.angle - self.lag * state.velocity, state.velocity)
+        return profile._replace(angle=profile.angle - self.lag * profile.velocity)
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
@@ -172,11 +171,11 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
 
         def step(motion: Motion, target: Command) -> tuple[Motion, AnyArray]:
             motion = profile.follow(motion, target)
-            return motion, profile.motion(motion).angle
+            return motion, profile.shaft(motion).angle
 
         before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
         start = profile.start(before, segment.waiting)
-        _, angle = jax.lax.scan(step, Motion(start.angle, start.velocity), targets)
+        _, angle = jax.lax.scan(step, start.motion, targets)
         return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 
     return jnp.mean(jax.vmap(one)(segments))

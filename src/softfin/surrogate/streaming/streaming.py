@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.compilation import jit
-from softfin.core.errors import ArtifactError, LogError
+from softfin.core.errors import ArtifactError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import check_commands, check_key, rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
@@ -37,7 +37,7 @@ from softfin.surrogate.streaming.ensemble import (
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
-from softfin.surrogate.training import name_net_arrays, restored
+from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 SETTLED = 3000
 """Duration of the rest before `init` [ticks]: 20 times the longest initial time constant of the
@@ -109,10 +109,7 @@ class StreamingSurrogate(eqx.Module):
         Raises:
             LogError: If the history is too short.
         """
-        if history.rows < self.memory:
-            raise LogError(
-                f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
-            )
+        check_history(history, self.memory)
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32),
             (history.command, history.reading),

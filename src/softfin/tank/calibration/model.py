@@ -82,8 +82,8 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
     ]
     if not places:
         raise LogError(
-            f"{split} logs: none has {rows + 1} rows, as a segment of {rows / RATE_HZ:g} s "
-            "requires; lower segment_s"
+            f"{split} logs: none has the {rows + 1} rows required for a segment of "
+            f"{rows / RATE_HZ:g} s; lower segment_s"
         )
     commands = []
     readings = []
@@ -102,11 +102,12 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
     return segments
 
 
-def material(
-    data: str | Path | Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], JsonObject]:
-    """Return the training logs, the test logs, and the hash of the data or the identity of the
-    plant.
+Material = tuple[list[Log], list[Log], JsonObject]
+"""Training logs, test logs, and the hash of the data or the plant's identity."""
+
+
+def material(data: str | Path | Plant, config: CalibrateConfig, seed: int) -> Material:
+    """Return what a tank is calibrated from.
 
     `data` is the folder of a dataset, of recordings (with import options in log.yaml) or of a
     surrogate, or a plant or its name.
@@ -149,9 +150,7 @@ class _Narrowed(eqx.Module):
         return self.plant.advance(state, command, ticks)
 
 
-def _of_plant(
-    plant: Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], JsonObject]:
+def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> Material:
     limits = Limits(*plant.limits)
     if config.velocity_rad_s is not None:
         low, high = config.velocity_rad_s

@@ -103,8 +103,8 @@ def test_the_serial_number_may_be_missing():
 def test_a_missing_field_is_named(name):
     with pytest.raises(
         RigError,
-        match=rf"sensor: {name}: missing required key; correct it on the sensor's "
-        r"configuration page",
+        match=rf"sensor: {name}: missing required key; correct it on the "
+        r"configuration page of the sensor",
     ):
         parse_settings(page(**{name: None}), None, "sensor")
 

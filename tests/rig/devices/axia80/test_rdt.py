@@ -74,7 +74,7 @@ def test_any_bytes_are_records_or_refused():
     [
         (0, [], []),
         (OVER_RANGE, ["force or torque is out of range"], []),
-        (0x88000000, ["a gage is out of range"], []),
+        (0x88000000, ["a gauge is out of range"], []),
         (0xA0000000, ["calibration data is damaged (checksum)"], []),
         (0x80000008, [], ["busy with its settings"]),
         (0x10000000, [], ["forces are simulated"]),
@@ -90,7 +90,7 @@ def test_any_bytes_are_records_or_refused():
         (0x00010000, [], ["a threshold set in the sensor was exceeded"]),
         (0x80000020, ["reports an unspecified error"], []),
         (0x80000080, ["calibration cannot be read"], []),
-        (0x80000004, ["a gage is broken"], []),
+        (0x80000004, ["a gauge is broken"], []),
     ],
 )
 def test_a_status_of_the_manual_says_what_it_means(status, errors, notes):

@@ -194,7 +194,7 @@ def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     read_until(client, client.complaints)
     assert client.complaints() == (
         "force sensor 127.0.0.1: force or torque is out of range; remove the load and check "
-        "the fin's mount",
+        "the mount of the fin",
     )
     sensor.status = 0
     read_until(client, lambda: not client.complaints())

@@ -242,10 +242,12 @@ def test_a_host_that_hangs_is_told_and_its_servo_must_be_acknowledged():
         made.drive.command(Target(1.5, 1.0))
         made.clock.sleep(0.3)
         made.drive.read()
-        assert "bus watchdog has stopped it" in made.drive.complaints()[0]
+        assert "stopped by its bus watchdog" in made.drive.complaints()[0]
         made.drive.link.close()
         other = Dynamixel(made.drive.config, made.clock)
-        with pytest.raises(RigError, match=r"bus watchdog .*; then run: softfin rig check --reset"):
+        with pytest.raises(
+            RigError, match=r"bus watchdog, .*; then run: softfin rig check --reset"
+        ):
             other.open()
         other.connect()
         assert "bus watchdog" in other.reset_fault()
@@ -272,7 +274,7 @@ def test_a_servo_without_a_watchdog_is_found_and_stopped():
     with bench() as made:
         made.drive.open()
         made.servo.is_watchdog_broken = True
-        with pytest.raises(DeviceError, match="servo ignores the loss of softfin's instructions"):
+        with pytest.raises(DeviceError, match="servo ignores missing instructions from softfin"):
             made.drive.prove_stop()
         assert made.servo.get(TORQUE) == 0
 
@@ -374,7 +376,7 @@ def test_a_pause_of_the_program_is_reported_as_a_pause():
         made.clock.sleep(0.12)
         made.drive.command(Target(-1.5, 1.0))
         (line,) = made.drive.complaints()
-        assert "bus watchdog has stopped it, because instructions were missing" in line
+        assert "stopped by its bus watchdog, because instructions were missing" in line
         made.loop(0.02)
         assert made.drive.complaints() == (line,)
 
@@ -387,7 +389,7 @@ def test_a_watchdog_that_another_program_switches_off_is_a_fault():
         made.servo.set(WATCHDOG, 0)
         made.loop(0.02)
         (line,) = made.drive.complaints()
-        assert line.startswith("servo's Bus Watchdog (98) is 0 instead of 4, so")
+        assert line.startswith("servo setting Bus Watchdog (98) is 0 instead of 4, so")
 
 
 @pytest.mark.parametrize("delay_s", [0.008, 0.016, 0.03])
@@ -518,7 +520,7 @@ def test_a_target_that_is_lost_is_repeated_and_one_that_is_never_taken_is_told(m
         lost[0] = 100
         made.drive.command(Target(-0.5, 1.0))
         made.loop(0.05)
-        assert "did not take a target" in made.drive.complaints()[0]
+        assert "did not accept a target" in made.drive.complaints()[0]
 
 
 def test_a_target_that_the_servo_refuses_is_told():
@@ -667,7 +669,7 @@ def test_a_servo_that_is_powered_is_refused_and_switched_off():
         made.drive.command(Target(1.5, math.pi))
         made.loop(0.1)
         other = Dynamixel(made.drive.config, made.clock)
-        with pytest.raises(RigError, match="already powered; end the program"):
+        with pytest.raises(RigError, match="already powered; close the program"):
             other.open()
         angle = made.fin.now().angle
         other.switch_off()
@@ -852,7 +854,7 @@ def test_a_servo_that_is_powered_again_or_silent_is_not_off():
                 made.clock.sleep(0.02)
 
         thread = made.clock.spawn(insist, "another program")
-        with pytest.raises(DeviceError, match="end other programs that drive it"):
+        with pytest.raises(DeviceError, match="close any other programs that control it"):
             made.drive.switch_off()
         ended.set()
         thread.join()
@@ -868,7 +870,7 @@ def test_a_servo_whose_stop_was_not_confirmed_is_switched_off_when_it_is_opened_
         assert made.drive.stop_unconfirmed
         made.servo.silence(0.0)
         assert made.servo.get(TORQUE) == 1
-        with pytest.raises(RigError, match="bus watchdog has stopped it"):
+        with pytest.raises(RigError, match="stopped by its bus watchdog"):
             made.drive.open()
         assert made.servo.get(TORQUE) == 0
         assert made.drive.stop_unconfirmed is None

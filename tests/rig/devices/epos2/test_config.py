@@ -66,7 +66,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"following_error_rad": 1.1}, "following_error_rad"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.57"),
         ({"slowest_rad_s": 4.0}, "velocity_min_rad_s is 4, velocity_max_rad_s is 3.14"),
-        ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's limits must be finite"),
+        ({"angle_max_rad": 100.0}, "angle_max_rad is 100; the limits of a fin must be finite"),
         ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "rounds to 0 rpm"),
         ({"direction": 2}, "direction"),
         ({"quick_stop_rad_s2": 2.0}, r"needs 1.6 s to stop from fastest_rad_s, .* use 6.3"),

@@ -804,7 +804,7 @@ def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> N
         made.drive.command(Target(1.5, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.1)
         send(made, protocol.HEARTBEAT + made.drive.config.host, bytes([protocol.OPERATIONAL]))
-        assert complaint(made, f"uses this program's node number {made.drive.config.host}")
+        assert complaint(made, f"uses the node number of this program, {made.drive.config.host}")
 
 
 def test_a_drive_is_not_enabled_if_its_bus_cannot_be_read_any_more() -> None:

@@ -47,7 +47,7 @@ def test_a_drive_that_ignores_the_loss_is_told_and_stopped() -> None:
     with bench(traits=IGNORES) as made:
         made.drive.open()
         began = made.clock()
-        with pytest.raises(DeviceError, match="drive ignores the loss of softfin's heartbeats"):
+        with pytest.raises(DeviceError, match="drive ignores missing heartbeats from softfin"):
             made.drive.prove_stop()
         assert made.clock() - began < 2.0
         assert made.emulated.state is State.SWITCH_ON_DISABLED
@@ -107,7 +107,7 @@ def test_a_reaction_that_does_not_stick_is_an_error(monkeypatch: pytest.MonkeyPa
 
         monkeypatch.setattr(made.emulated._node, "set_data", forgetful)
         with pytest.raises(
-            RigError, match=r"abort connection option \(0x6007\.0\) stayed 0 when 1 was written"
+            RigError, match=r"abort connection option \(0x6007\.0\) remained 0 after 1 was written"
         ):
             made.drive.open()
 
@@ -225,7 +225,7 @@ def test_a_drive_that_is_powered_again_at_once_is_not_off() -> None:
                     made.clock.sleep(0.01)
 
         thread = made.clock.spawn(insist, "another program")
-        with pytest.raises(DeviceError, match="end other programs that drive it"):
+        with pytest.raises(DeviceError, match="close any other programs that control it"):
             Epos2(made.bus, drive_config(), made.clock).switch_off()
         ended.set()
         thread.join()

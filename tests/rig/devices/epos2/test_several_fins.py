@@ -123,8 +123,8 @@ def test_a_second_host_with_the_same_number_or_drive_is_refused_before_it_sends_
     with shoal(1) as made:
         made.hosts[0].swim()
         for changes, words in (
-            ({"node": 1}, r"this program's node number 126 is in use .* drive\.host_node"),
-            ({"node": 7, "host_node": 126}, "this program's node number 126 is in use"),
+            ({"node": 1}, r"the node number of this program, 126, is in use .* drive\.host_node"),
+            ({"node": 7, "host_node": 126}, "the node number of this program, 126, is in use"),
         ):
             bus = made.clock.open_bus(made.bus)
             second = Epos2(made.bus, drive_config(**changes), made.clock)
@@ -151,7 +151,7 @@ def test_another_program_that_moves_our_drive_is_refused() -> None:
 
         made.clock.spawn(command, "commands")
         second = Epos2(made.bus, drive_config(node=1, host_node=99), made.clock)
-        with pytest.raises(RigError, match="another program is using drive 1; end it"):
+        with pytest.raises(RigError, match="another program is using drive 1; close it"):
             second.open()
 
 
@@ -166,7 +166,7 @@ def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(
         first.swim()
         assert first.drive.sync_id == 0x080
         assert first.drive.notes == (
-            "drive responds to every program's SYNC; connect each fin to its own bus",
+            "drive responds to the SYNC of every program; connect each fin to its own bus",
         )
         first.drive.command(Target(0.2, 3.0))
         made.clock.sleep(0.5)

@@ -31,7 +31,7 @@ def test_a_serial_and_a_udp_sensor_are_accepted():
         ({"columns": ["force_x", "force_y", "force_x"]}, "each may appear only once"),
         ({"columns": ["force_x", "force_y", "count", "time_ms"]}, "only one of count, time_ms"),
         ({"columns": ["force_x", "thrust"]}, "columns.1 = 'thrust'"),
-        ({"scale": {"force_z": 2.0}}, "scale.force_z: not a column"),
+        ({"scale": {"force_z": 2.0}}, "scale.force_z: not a force or torque column"),
         ({"scale": {"force_x": 0.0}}, "scale must not be 0"),
         ({"rate_hz": 5}, "rate_hz = 5"),
         ({"rate_hz": 2000}, "rate_hz = 2000"),

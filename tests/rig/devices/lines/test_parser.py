@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.parser import LineCounter, LineParser
+from softfin.rig.devices.lines.parser import LineCounter, parse_line
 from tests.rig.devices.lines.test_config import VALUES
 
 
@@ -16,8 +16,8 @@ def config(**changes):
 
 def test_columns_are_scaled_and_put_in_their_channels():
     columns = ["time_us", "force_y", "skip", "force_x", "torque_z"]
-    parser = LineParser(config(columns=columns, scale={"force_y": -2.0}, separator=";"))
-    record = parser.parse(b" 1234; 1.5; left; -3; 0.25\r")
+    settings = config(columns=columns, scale={"force_y": -2.0}, separator=";")
+    record = parse_line(b" 1234; 1.5; left; -3; 0.25\r", settings)
     assert record.number == 1234
     assert record.wrench.tolist() == [-3.0, -3.0, 0.0, 0.0, 0.0, 0.25]
 
@@ -39,12 +39,12 @@ def test_columns_are_scaled_and_put_in_their_channels():
     ],
 )
 def test_a_line_that_is_cut_joined_or_no_numbers_is_dropped(line):
-    assert LineParser(config()).parse(line) is None
+    assert parse_line(line, config()) is None
 
 
 @given(st.binary(max_size=60))
 def test_no_bytes_raise_an_error_or_give_a_number_that_is_not_finite(line):
-    record = LineParser(config()).parse(line)
+    record = parse_line(line, config())
     assert record is None or np.isfinite(record.wrench).all()
 
 

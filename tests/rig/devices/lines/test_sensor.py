@@ -385,7 +385,7 @@ def test_a_delay_that_grows_within_the_sensor_is_a_fault(column, growth):
             assert clock() - run(sensor, clock, 0.01).force_time < 0.15
         (complaint,) = sensor.complaints()
         assert "its lines arrive 0." in complaint
-        assert "later than at first" in complaint
+        assert "later than at the start" in complaint
 
 
 @pytest.mark.parametrize("column", COUNTED)

@@ -86,7 +86,7 @@ def read_settings(host: str, port: int, computer: Computer) -> SensorSettings:
     page = computer.fetch_page(host, port, SETTINGS)
     source = f"http://{host}:{port}{SETTINGS}"
     if page is None:
-        raise RigError(f"{source}: page not found; is this the address of an Axia80?")
+        raise RigError(f"{source}: page not found; check that this is the address of an Axia80")
     return parse_settings(page, computer.fetch_page(host, port, CALIBRATION), source)
 
 
@@ -104,7 +104,7 @@ def parse_settings(page: bytes, calibration: bytes | None, source: str) -> Senso
         return SensorSettings.build(found, source)
     except ConfigurationError as error:
         raise RigError(
-            f"{error}; correct it on the sensor's configuration page, or check the address"
+            f"{error}; correct it on the configuration page of the sensor, or check the address"
         ) from None
 
 

@@ -89,10 +89,10 @@ STATUS_BITS = {
     0: StatusBit(
         "temperature is out of range",
         True,
-        "let it reach the water's temperature and check the cooling",
+        "let the sensor reach the water temperature, and check the cooling",
     ),
     1: StatusBit("supply voltage is out of range", True, "supply 12 to 32 V and check the cable"),
-    2: StatusBit("a gage is broken", True, "send the sensor to ATI"),
+    2: StatusBit("a gauge is broken", True, "send the sensor to ATI"),
     BUSY_BIT: StatusBit("busy with its settings", False, "wait and do not use its web pages"),
     5: StatusBit(
         "reports an unspecified error", True, "switch it off and on, and check its web page"
@@ -100,7 +100,7 @@ STATUS_BITS = {
     7: StatusBit(
         "calibration cannot be read",
         True,
-        "switch it off and on; if that fails, send it to ATI",
+        "switch the sensor off and on; if that fails, send it to ATI",
     ),
     16: StatusBit(
         "a threshold set in the sensor was exceeded",
@@ -108,14 +108,14 @@ STATUS_BITS = {
         "clear the monitor conditions on its web page",
     ),
     27: StatusBit(
-        "a gage is out of range",
+        "a gauge is out of range",
         True,
         "remove the load; if the error persists, the sensor is damaged",
     ),
     28: StatusBit("forces are simulated", False, "turn off the simulation on its web page"),
     29: StatusBit("calibration data is damaged (checksum)", True, "send the sensor to ATI"),
     30: StatusBit(
-        "force or torque is out of range", True, "remove the load and check the fin's mount"
+        "force or torque is out of range", True, "remove the load and check the mount of the fin"
     ),
 }
 
@@ -131,6 +131,6 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     # A busy sensor also sets the summary bit, as in `BUSY`.
     is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
     if numbers - set(STATUS_BITS) or (summary and not is_explained):
-        remedy = "check the sensor's web page, and switch the sensor off and on"
+        remedy = "check the web page of the sensor, and switch the sensor off and on"
         bits.append(StatusBit(f"status 0x{status:08X} has unspecified bits", summary, remedy))
     return tuple(bits)

@@ -6,7 +6,6 @@ with a real sensor.
 """
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device_type import ForceSensorType
@@ -63,7 +62,7 @@ class RdtSource(RecordSource):
         self.status = 0
         """Status bits set in any of the latest records."""
         self._product = ""
-        self._scale: Float[np.ndarray, " 6"] = np.ones(6)
+        self._scale = np.ones(6)
         self._newest: Arrival | None = None
         self._is_first_burst = self._is_new_stream = True
         self._has_restarted = False

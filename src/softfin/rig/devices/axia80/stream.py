@@ -41,7 +41,7 @@ OFFSET_TRIES = 10
 # ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
-"""The kernel's timestamp: seconds and nanoseconds of the wall clock."""
+"""Kernel timestamp: seconds and nanoseconds of the wall clock."""
 
 
 class Arrival(NamedTuple):

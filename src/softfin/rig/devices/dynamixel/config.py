@@ -67,7 +67,7 @@ class DynamixelConfig(DriveConfig):
         if units.speed(self.slowest_rad_s) == 0:
             # The servo interprets 0 as "as fast as possible".
             raise ValueError(
-                f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 in the servo unit; increase it"
+                f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 in servo units; increase it"
             )
         for name in ("acceleration_rad_s2", "quick_stop_rad_s2"):
             value = getattr(self, name)
@@ -76,9 +76,8 @@ class DynamixelConfig(DriveConfig):
         lowest, highest = position_range(self, OVERSHOOT_RAD)
         if lowest < 0 or highest >= TICKS_PER_TURN:
             raise ValueError(
-                f"angle_min_rad and angle_max_rad must be within "
-                f"{math.pi - OVERSHOOT_RAD:.2f} rad of zero, because the servo's position ends "
-                "after a half turn"
+                f"angle_min_rad and angle_max_rad must be within {math.pi - OVERSHOOT_RAD:.2f} rad "
+                "of zero, because the position range of the servo ends after half a turn"
             )
         return self
 

@@ -18,11 +18,11 @@ from softfin.core.dynamixel import CENTER, TICKS_PER_TURN
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.quantities import TICK_S
 from softfin.rig.computer import COMPUTER, Computer
-from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.device import CheckResult, CurrentLimits, DriveReading, RefusedError
 from softfin.rig.device_type import DriveType
 from softfin.rig.devices.dynamixel import protocol, setup
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, ServoLink
 from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.drive_safety import (
@@ -248,7 +248,7 @@ class Dynamixel:
             degrees = 360 * (status.position - applied) / TICKS_PER_TURN
             raise RigError(
                 f"the servo horn is at {degrees:.0f} degrees; mount the fin so that it is within "
-                "90 degrees of the middle, 180, when the fin is at zero"
+                "90 degrees of the middle (180 degrees) when the fin is at zero"
             )
         try:
             setup.write(self.link, protocol.HOMING_OFFSET, offset)
@@ -319,7 +319,7 @@ class Dynamixel:
             self.link.close()
             self.device_lock.release()
         if not is_off:
-            raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
+            raise DeviceError(f"{UNCONFIRMED}, and close any other programs that control it")
 
     def prove_stop(self) -> float:
         """Power the motor at rest and send nothing; return the time until the servo stops by itself
@@ -347,7 +347,7 @@ class Dynamixel:
                     raise DeviceError(f"servo stopped for a different reason: {line}")
                 silence_s += protocol.WATCHDOG_UNIT_S
         raise DeviceError(
-            f"servo ignores the loss of softfin's instructions: it did not stop within "
+            "servo ignores missing instructions from softfin: it did not stop within "
             f"{silence_s:.2f} s, so the fin would keep moving if softfin died; update its "
             "firmware, and do not move the fin until this test passes"
         )
@@ -376,13 +376,13 @@ class Dynamixel:
         status = self.status
         if self.armed and not fault and status is not None and not status.torque:
             lines.append(
-                "servo's motor is off although it was enabled; check its supply and end other "
+                "servo motor is off although it was enabled; check its supply and close other "
                 "programs that use it"
             )
         if self.armed and not fault and status and status.watchdog != self.config.watchdog:
             lines.append(
-                f"servo's {protocol.BUS_WATCHDOG} is {status.watchdog} instead of "
-                f"{self.config.watchdog}, so the servo might not stop if softfin died; end other "
+                f"servo setting {protocol.BUS_WATCHDOG} is {status.watchdog} instead of "
+                f"{self.config.watchdog}, so the servo might not stop if softfin died; close other "
                 "programs that use it"
             )
         # Measure until the latest request, because softfin sends no requests while it is paused.
@@ -394,8 +394,8 @@ class Dynamixel:
             )
         if self._unanswered >= UNANSWERED:
             lines.append(
-                f"servo did not take a target {self._unanswered} times in a row; check its cable "
-                "and end other programs that use it"
+                f"servo did not accept a target {self._unanswered} times in a row; check its cable "
+                "and close other programs that use it"
             )
         return tuple(lines)
 
@@ -612,7 +612,7 @@ class Dynamixel:
         if not lowest <= position <= highest:
             raise RigError(
                 f"fin is at {self.units.angle(position):.3f} rad, position {position}, outside the "
-                f"servo's limits {lowest} to {highest}; turn it back by hand"
+                f"servo limits {lowest} to {highest}; turn it back by hand"
             )
 
     def _check_not_stopped(self) -> None:

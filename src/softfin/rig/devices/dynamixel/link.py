@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from softfin.core.errors import DeviceError, one_line
 from softfin.rig.computer import Computer, SerialPort
+from softfin.rig.device import RefusedError
 from softfin.rig.devices.dynamixel.config import DynamixelConfig
 from softfin.rig.devices.dynamixel.protocol import (
     ALERT,
@@ -37,14 +38,6 @@ instructions."""
 
 class NoAnswer(DeviceError):
     """The servo did not respond in time."""
-
-
-class RefusedError(DeviceError):
-    """The servo refused an instruction; `code` is its error number."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
 
 
 class ServoLink:
@@ -93,8 +86,7 @@ class ServoLink:
     def read(self, entry: Entry, answer_s: float = SETUP_ANSWER_S) -> int:
         """Read an entry; raises DeviceError on failure."""
         data = self.read_bytes(entry.address, entry.layout.size, answer_s, str(entry))
-        value: int = entry.layout.unpack(data)[0]
-        return value
+        return int(entry.layout.unpack(data)[0])
 
     def write(self, entry: Entry, value: int, answer_s: float = SETUP_ANSWER_S) -> None:
         """Write an entry; raises DeviceError on failure."""
@@ -163,8 +155,8 @@ class ServoLink:
         if code:
             name = Refusal(code).name.lower().replace("_", " ") if code in set(Refusal) else "?"
             raise RefusedError(
-                f"{self.name}: refused {what} (error {code}, {name}); end other programs that use "
-                "it, and switch it off and on",
+                f"{self.name}: refused {what} (error {code}, {name}); close other programs that "
+                "use it, and switch it off and on",
                 code,
             )
         return answer[1:]

@@ -58,18 +58,16 @@ class Packet(NamedTuple):
     data: bytes
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            # CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most significant bit first.
-            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
-        table.append(crc)
-    return tuple(table)
+def _crc_byte(byte: int) -> int:
+    crc = byte << 8
+    for _ in range(8):
+        # CRC-16 with the polynomial x^16 + x^15 + x^2 + 1, most significant bit first.
+        crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
 
 
-_CRC_TABLE = _crc_table()
+# A table, because the loop computes several CRCs at each tick.
+_CRC_TABLE = tuple(map(_crc_byte, range(256)))
 
 
 def crc16(data: bytes) -> int:

@@ -14,8 +14,8 @@ from softfin.rig.drive_safety import Setting, check_settings
 from softfin.rig.safety import OVERSHOOT_RAD
 
 WATCHDOG_STOPPED = (
-    "servo's bus watchdog has stopped it, because instructions were missing; check its cable, and "
-    "check whether the program that moved it paused or ended"
+    "servo was stopped by its bus watchdog, because instructions were missing; check its cable, "
+    "and check whether the program that moved it paused or ended"
 )
 RESET = "then run: softfin rig check --reset-fault"
 
@@ -63,7 +63,7 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
         Setting(
             protocol.OPERATING_MODE,
             (protocol.POSITION_MODE,),
-            f"the servo enforces the fin's limits in position mode only; set it to "
+            "the servo enforces the fin limits only in position mode; set it to "
             f"{protocol.POSITION_MODE}",
         ),
         # Bit 0 reverses the direction, bit 2 turns velocities into durations, and with bit 3, a
@@ -99,8 +99,8 @@ def settings(config: DynamixelConfig) -> tuple[Setting[Entry], ...]:
         Setting(
             protocol.VELOCITY_LIMIT,
             (fastest,),
-            f"fastest_rad_s is {fastest} in the servo unit; correct the rig file, or set the "
-            f"servo to {fastest}",
+            f"fastest_rad_s is {fastest} in servo units; correct the rig file, or set the servo to "
+            f"{fastest}",
         ),
     )
 
@@ -112,7 +112,7 @@ def check_setup(link: ServoLink, config: DynamixelConfig) -> None:
         raise RigError(f"{fault}; {RESET}")
     if link.read(protocol.TORQUE_ENABLE):
         raise RigError(
-            "servo is already powered; end the program that drives it, or run: softfin rig stop"
+            "servo is already powered; close the program that controls it, or run: softfin rig stop"
         )
     check_settings(settings(config), link.read, "DYNAMIXEL Wizard")
 
@@ -134,7 +134,7 @@ def configure(link: ServoLink) -> None:
     link.write_bytes(protocol.INDIRECT_ADDRESS, addresses, SETUP_ANSWER_S, what)
     size = len(addresses)
     if link.read_bytes(protocol.INDIRECT_ADDRESS, size, SETUP_ANSWER_S, what) != addresses:
-        raise RigError(f"{link.name}: did not keep {what}; end other programs that use it")
+        raise RigError(f"{link.name}: did not keep {what}; close other programs that use it")
 
 
 def write(link: ServoLink, entry: Entry, value: int) -> None:
@@ -143,6 +143,6 @@ def write(link: ServoLink, entry: Entry, value: int) -> None:
     kept = link.read(entry)
     if kept != value:
         raise RigError(
-            f"servo's {entry} stayed {kept} when {value} was written; end other programs that use "
-            "the port"
+            f"servo setting {entry} remained {kept} after {value} was written; close other "
+            "programs that use the port"
         )

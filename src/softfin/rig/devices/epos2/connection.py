@@ -19,7 +19,8 @@ import can
 
 from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.bus import BusConfig
-from softfin.rig.computer import COMPUTER, Computer
+from softfin.rig.computer import Computer
+from softfin.rig.device import RefusedError
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.protocol import Object
 
@@ -36,14 +37,6 @@ ABORTED = 0x80
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
-class SdoRefusal(DeviceError):
-    """The drive refused to read or write an object; `code` is the SDO abort code."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
-
-
 class CanConnection:
     """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called from the
     receiver thread."""
@@ -54,7 +47,7 @@ class CanConnection:
         node: int,
         on_frame: Callable[[int, bytes], None],
         on_problem: Callable[[str], None],
-        clock: Computer = COMPUTER,
+        clock: Computer,
     ) -> None:
         self._config = config
         self.node = node
@@ -144,8 +137,7 @@ class CanConnection:
         answer = self._transfer(
             entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0), allowed
         )
-        value: int = entry.layout.unpack(answer[4 : 4 + size])[0]
-        return value
+        return int(entry.layout.unpack(answer[4 : 4 + size])[0])
 
     def write(self, entry: Object, value: int) -> None:
         """Write an object of the drive; raises DeviceError on failure."""
@@ -157,8 +149,8 @@ class CanConnection:
         # The receiver thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
-                f"drive's {entry} cannot be accessed: an earlier request is still pending; try "
-                "again"
+                f"drive object {entry} cannot be accessed: an earlier request is still pending; "
+                "try again"
             )
         try:
             # Do this before sending, because the receiver thread may get the answer before `send`
@@ -179,7 +171,7 @@ class CanConnection:
             )
         if answer[0] == ABORTED:
             code = int.from_bytes(answer[4:], "little")
-            raise SdoRefusal(f"drive refused {entry}: {protocol.abort_line(code)}", code)
+            raise RefusedError(f"drive refused {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
             raise DeviceError(
                 f"invalid response from the drive for {entry} ({answer.hex()}); try again"
@@ -249,7 +241,7 @@ def download(entry: Object, value: int) -> bytes:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
         raise DeviceError(
-            f"drive's {entry} cannot be set to {value}, which is out of range; change the "
+            f"drive setting {entry} cannot be set to {value}, which is out of range; change the "
             "value in the rig file"
         ) from None
     # CiA 301: expedited download that indicates the number of unused bytes.

@@ -6,10 +6,10 @@ our emulator, not yet with a real drive.
 """
 
 from collections.abc import Callable, Iterator
+from typing import cast
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.bus import BusConfig
-from softfin.rig.computer import Computer
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.device_type import DriveType
 from softfin.rig.devices.epos2 import procedures, protocol
@@ -84,7 +84,7 @@ class Epos2(Exchange):
                     return
                 self.clock.sleep(ANSWER_STEP_S)
             raise DeviceError(
-                "drive sends no process data or no heartbeat; check the bus load and end other "
+                "drive sends no process data or no heartbeat; check the bus load and close other "
                 "programs that use the bus"
             )
         except BaseException:
@@ -171,7 +171,7 @@ class Epos2(Exchange):
                 (self.trouble != fault, self.trouble),
                 (
                     silence > self.config.heartbeat_s,
-                    f"drive's heartbeat has been missing for {silence:.2f} s; check its supply and "
+                    f"drive heartbeat has been missing for {silence:.2f} s; check its supply and "
                     "the bus cable",
                 ),
                 (
@@ -196,7 +196,7 @@ class Epos2(Exchange):
                 (
                     enabled and unanswered >= UNANSWERED,
                     f"drive did not acknowledge a target {unanswered} times in a row; check the "
-                    "bus and end other programs that use the drive",
+                    "bus and close other programs that use the drive",
                 ),
             )
         return tuple(line for is_wrong, line in lines if is_wrong and line)
@@ -251,8 +251,8 @@ class Epos2(Exchange):
         angle = self._new_reading().angle
         if self.config.zero_needed and not self.referenced:
             raise RigError(
-                "fin has not been zeroed since the drive's power-up; turn the fin to zero and run: "
-                "softfin rig zero --arm"
+                "fin has not been zeroed since the drive was powered up; turn the fin to zero and "
+                "run: softfin rig zero --arm"
             )
         check_fin_angle(angle, self.config)
         # After a failed homing, the drive may still be in homing mode, in which a new target would
@@ -268,7 +268,7 @@ class Epos2(Exchange):
         with stopped_afterwards(self):
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
-            self._power_up(then_arm=False, meanwhile=lambda: None)
+            self._power_up(then_arm=False)
             procedures.home(self)
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
 
@@ -323,7 +323,7 @@ class Epos2(Exchange):
             return f"{UNCONFIRMED} ({error})"
         finally:
             self.connection.close()
-        return f"{UNCONFIRMED}, and end other programs that drive it"
+        return f"{UNCONFIRMED}, and close any other programs that control it"
 
     def stop(self) -> None:
         """Quick-stop immediately, then disable voltage; may be called repeatedly from any thread
@@ -366,11 +366,13 @@ class Epos2(Exchange):
         self.sync_id = procedures.set_sync(self.connection, self.config)
         if self.sync_id != protocol.SYNC:
             return
-        self.notes += ("drive responds to every program's SYNC; connect each fin to its own bus",)
+        self.notes += (
+            "drive responds to the SYNC of every program; connect each fin to its own bus",
+        )
         if protocol.SYNC in self.foreign_ids:
             raise RigError(
                 f"{self.connection.name}: another program sends the SYNC that this drive responds "
-                "to; connect each fin to its own bus, or end the other program"
+                "to; connect each fin to its own bus, or close the other program"
             )
 
     def _reset_communication(self) -> None:
@@ -440,15 +442,9 @@ class Epos2(Exchange):
             self.stopping.release()
 
 
-def _make(
-    config: Epos2Config,
-    bus: BusConfig | None,
-    clock: Computer,
-    on_fault: Callable[[str], None] | None,
-) -> Epos2:
-    assert bus is not None, "RigConfig requires a bus for this drive"
-    return Epos2(bus, config, clock, on_fault)
-
-
-EPOS2 = DriveType(Epos2Config, _make)
+# RigConfig requires a bus for this drive.
+EPOS2 = DriveType(
+    Epos2Config,
+    lambda config, bus, clock, on_fault: Epos2(cast(BusConfig, bus), config, clock, on_fault),
+)
 """The type `epos2`."""

@@ -397,9 +397,8 @@ class Exchange:
             # would keep moving if this program died. The other program may have been silent while
             # we listened, e.g. because it was waiting for user input.
             self._report(
-                f"another program on {self.connection.name} uses this program's node number "
-                f"{self.config.host}; end it, or set a different drive.host_node in each rig's "
-                "file"
+                f"another program on {self.connection.name} uses the node number of this program, "
+                f"{self.config.host}; close it, or set a different drive.host_node in each rig file"
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())

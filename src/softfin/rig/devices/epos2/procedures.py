@@ -8,9 +8,10 @@ settings when it is powered down.
 from collections.abc import Callable
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.rig.device import RefusedError
 from softfin.rig.devices.epos2 import protocol
 from softfin.rig.devices.epos2.config import Epos2Config, Units
-from softfin.rig.devices.epos2.connection import CanConnection, SdoRefusal
+from softfin.rig.devices.epos2.connection import CanConnection
 from softfin.rig.devices.epos2.exchange import Exchange
 from softfin.rig.devices.epos2.protocol import Bit, Object, State, fault_line
 from softfin.rig.drive_safety import Setting, check_no_pause, check_settings, stays_off, try_until
@@ -53,17 +54,17 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
-            f"{connection.name}: this program's node number {config.host} is in use by another "
-            "program or device; set a different drive.host_node in each rig file, or end the "
-            "other program"
+            f"{connection.name}: the node number of this program, {config.host}, is in use by "
+            "another program or device; set a different drive.host_node in each rig file, or close "
+            "the other program"
         )
     if foreign_ids & {
         protocol.SDO_REQUEST + config.node,
         *(pdo + config.node for pdo in protocol.RPDO),
     }:
         raise RigError(
-            f"{connection.name}: another program is using drive {config.node}; end it, or correct "
-            "drive.node"
+            f"{connection.name}: another program is using drive {config.node}; close it, or "
+            "correct drive.node"
         )
     return foreign_ids
 
@@ -74,8 +75,8 @@ def identify_drive(connection: CanConnection) -> None:
         connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
         raise RigError(
-            f"no drive responds as node {connection.node} on {connection.name}; compare "
-            "drive.node with the drive's switches, and check its supply, cable, termination and "
+            f"no drive responds as node {connection.node} on {connection.name}; compare drive.node "
+            "with the switches on the drive, and check its supply, cable, termination and "
             "bus.bitrate"
         ) from None
 
@@ -99,7 +100,7 @@ def read_optional(connection: CanConnection, entry: Object) -> int | None:
     """Read an object of the drive; None if the drive does not have the object."""
     try:
         return connection.read(entry)
-    except SdoRefusal as refusal:
+    except RefusedError as refusal:
         if refusal.code not in protocol.MISSING:
             raise
         return None
@@ -114,7 +115,7 @@ def settings(config: Epos2Config) -> tuple[Setting[Object], ...]:
         Setting(
             protocol.DEVICE_TYPE,
             range(402, 1 << 32, 1 << 16),
-            "not a CiA 402 drive; correct drive.node, or check it",
+            "not a CiA 402 drive; correct drive.node, or check the drive",
         ),
         # Not verified: 1 is a brushed DC motor, and 10 and 11 are brushless motors. All accept the
         # same commands.
@@ -140,8 +141,8 @@ def check_setup(connection: CanConnection, config: Epos2Config) -> tuple[str, ..
     state = protocol.decode(word)
     if state not in protocol.UNPOWERED:
         raise RigError(
-            f"drive is already {protocol.describe_state(state, word)}; end the program that drives "
-            "it, or switch the drive off and on"
+            f"drive is already {protocol.describe_state(state, word)}; close the program that "
+            "controls it, or switch the drive off and on"
         )
     return check_settings(
         settings(config), lambda entry: read_optional(connection, entry), "EPOS Studio"
@@ -155,12 +156,12 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
     for entry, value in protocol.REACTIONS.items():
         try:
             write(connection, entry, value)
-        except SdoRefusal as refusal:
+        except RefusedError as refusal:
             if refusal.code not in protocol.MISSING:
                 raise
             notes.append(
-                f"drive has no {entry}; run `softfin rig check --prove --arm` to test whether it "
-                "stops by itself"
+                f"drive has no {entry}; run `softfin rig check --prove --arm` to test whether the "
+                "drive stops by itself"
             )
     return tuple(notes)
 
@@ -172,14 +173,14 @@ def set_sync(connection: CanConnection, config: Epos2Config) -> int:
     try:
         connection.write(protocol.SYNC_ID, wanted)
         held = connection.read(protocol.SYNC_ID) & 0x7FF
-    except SdoRefusal:
-        # It is not verified whether an EPOS2 permits this change; if not, it keeps the shared SYNC
-        # of CiA 301.
+    except RefusedError:
+        # Not verified whether an EPOS2 allows this change; if not, it keeps the shared SYNC of CiA
+        # 301.
         held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF
     if held not in (wanted, protocol.SYNC):
         raise RigError(
-            f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, and switch "
-            "the drive off and on"
+            f"drive setting {protocol.SYNC_ID} remained 0x{held:03X}; close other programs, and "
+            "switch the drive off and on"
         )
     return held
 
@@ -242,8 +243,8 @@ def write(
     held = connection.read(shown or entry)
     if (held ^ value) & mask:
         raise RigError(
-            f"drive's {shown or entry} stayed {held} when {value} was written; close EPOS Studio "
-            "and other programs, or use a value in the rig file that the drive accepts"
+            f"drive setting {shown or entry} remained {held} after {value} was written; close EPOS "
+            "Studio and other programs, or use a value in the rig file that the drive accepts"
         )
 
 
@@ -417,7 +418,7 @@ def time_own_stop(exchange: Exchange) -> float:
             return silence
         exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError(
-        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so the "
+        f"drive ignores missing heartbeats from softfin: no fault within {longest:.1f} s, so the "
         f"fin would keep moving if softfin died; set {protocol.LOSS_REACTION} to 1 and "
         f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and do not move the fin until this test "
         "passes"

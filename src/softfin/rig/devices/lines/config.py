@@ -68,7 +68,7 @@ class LinesConfig(StreamedSensorConfig):
         if len(set(named) & COUNTERS.keys()) > 1:
             raise ValueError(f"columns may contain only one of {', '.join(COUNTERS)}")
         if wrong := sorted(set(self.scale) - (set(named) & set(WRENCH_CHANNELS))):
-            raise ValueError(f"scale.{wrong[0]}: not a column with a force or torque")
+            raise ValueError(f"scale.{wrong[0]}: not a force or torque column")
         if not all(self.scale.values()):
             raise ValueError("scale must not be 0")
         return self

@@ -4,11 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
 from softfin.rig.loss_estimate import LossEstimate, wrapped_step
-from softfin.rig.machine import WRENCH_CHANNELS
+from softfin.rig.machine import WRENCH_CHANNELS, WrenchArray
 from softfin.rig.stream_clock import ShortestDelay
 
 REORDERED_LINES = 64
@@ -30,41 +29,28 @@ a second."""
 class Record(NamedTuple):
     """One line."""
 
-    wrench: Float[np.ndarray, " 6"]
+    wrench: WrenchArray
     """Force and torque in the sensor axes [N, N m]; zero for channels without a column."""
     number: int | None
     """Value of the counter or time column; None if there is no such column."""
 
 
-class LineParser:
-    """Decodes the lines of one sensor."""
-
-    def __init__(self, config: LinesConfig) -> None:
-        self._columns = config.columns
-        self._separator = config.separator
-        self._scale = config.scale
-
-    def parse(self, line: bytes) -> Record | None:
-        """Return the record in a line; None if the line is truncated, joined with a second line, or
-        not numeric."""
-        try:
-            texts = line.decode("ascii").strip().split(self._separator)
-        except UnicodeDecodeError:
-            return None
-        if len(texts) != len(self._columns):
-            return None
-        wrench = np.zeros(len(WRENCH_CHANNELS))
-        number = None
-        try:
-            for column, text in zip(self._columns, texts, strict=True):
-                if column in COUNTERS:
-                    number = int(text) % 2**32
-                elif column in WRENCH_CHANNELS:
-                    value = float(text) * self._scale.get(column, 1.0)
-                    wrench[WRENCH_CHANNELS.index(column)] = value
-        except (ValueError, OverflowError):
-            return None
-        return Record(wrench, number) if math.isfinite(wrench.sum()) else None
+def parse_line(line: bytes, config: LinesConfig) -> Record | None:
+    """Return the record in a line; None if it is cut, joined with another, or not numbers."""
+    wrench = np.zeros(len(WRENCH_CHANNELS))
+    number = None
+    # Errors of the decoder are ValueErrors, as are a missing and a surplus column.
+    try:
+        texts = line.decode("ascii").strip().split(config.separator)
+        for column, text in zip(config.columns, texts, strict=True):
+            if column in COUNTERS:
+                number = int(text) % 2**32
+            elif column in WRENCH_CHANNELS:
+                value = float(text) * config.scale.get(column, 1.0)
+                wrench[WRENCH_CHANNELS.index(column)] = value
+    except (ValueError, OverflowError):
+        return None
+    return Record(wrench, number) if math.isfinite(wrench.sum()) else None
 
 
 class LineCounter:

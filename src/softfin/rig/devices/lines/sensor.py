@@ -8,7 +8,7 @@ from softfin.rig.computer import COMPUTER, Computer
 from softfin.rig.device import CheckResult
 from softfin.rig.device_type import ForceSensorType
 from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
-from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, LineParser
+from softfin.rig.devices.lines.parser import CLOCK_ERRORS, LagWatch, LineCounter, parse_line
 from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
 from softfin.rig.streamed_sensor import (
     FIRST_WAIT_S,
@@ -37,7 +37,6 @@ class LineSource(RecordSource):
         super().__init__(name, "lines", os.path.realpath(port) if port else config.udp_port)
         self.config = config
         self.clock = clock
-        self._parser = LineParser(config)
         self._reader: LineReader | None = None
         self.restart()
 
@@ -94,7 +93,7 @@ class LineSource(RecordSource):
     def checks(self) -> Iterator[CheckResult]:
         """Yield a warning that lines without a number can be lost unnoticed."""
         if self.config.counter is None:
-            text = "lines have no counter or time, so lost and doubled lines are not noticed"
+            text = "lines have no counter or time, so lost and duplicate lines are not detected"
             yield CheckResult("force sensor", "note", text)
 
     def explain_silence(self) -> str:
@@ -116,17 +115,17 @@ class LineSource(RecordSource):
         if len(self._senders) > 1:
             lines.append(
                 f"records come from {' and '.join(self._senders)}, so two sensors send to this "
-                "port, or it restarted; give each its own udp_port, then start again"
+                "port, or one restarted; give each sensor its own udp_port, then start again"
             )
         elif self._counter.has_restarted:
             lines.append(
-                "its counter went back, so it restarted, or two sensors send to the same address; "
-                "check its supply and cable"
+                "its counter went back, so the sensor restarted, or two sensors send to the same "
+                "address; check its supply and cable"
             )
         if self._lag.is_lagging:
             lines.append(
-                f"its lines arrive {self._lag.lag_s:.2f} s later than at first, because they wait "
-                "in a buffer; send fewer or shorter lines, or increase baud, then start again"
+                f"its lines arrive {self._lag.lag_s:.2f} s later than at the start, because they "
+                "wait in a buffer; send fewer or shorter lines, or increase baud, then start again"
             )
         if self._malformed_in_a_row >= MALFORMED_RECORDS:
             lines.append(
@@ -143,7 +142,7 @@ class LineSource(RecordSource):
 
     def _take(self, line: TimedLine) -> TimedWrench | None:
         """Count a line; return it if it is a new record."""
-        record = self._parser.parse(line.text)
+        record = parse_line(line.text, self.config)
         if record is not None and line.source not in self._senders:
             self._senders = [*self._senders, line.source][:2]
         if not line.is_expected:

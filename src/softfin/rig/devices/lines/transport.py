@@ -63,7 +63,7 @@ class UdpTransport:
             self._socket.close()
             raise DeviceError(
                 f"UDP port {port}: cannot be opened ({one_line(error)}); check address and "
-                "udp_port, and end other programs that use the port"
+                "udp_port, and close other programs that use the port"
             ) from None
 
     def read(self) -> Received:
