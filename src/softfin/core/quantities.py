@@ -1,8 +1,8 @@
 """The three records that all packages exchange: Command, Reading and Log. SI units, float32 arrays,
 time before channel.
 
-Axes: +x is the thrust that pushes the robot forward. At angle theta, the fin points along (-cos
-theta, +sin theta) from its shaft. Forces act from the fin on its mount.
+Axes: +x is the direction of the thrust that pushes the robot forward. At angle theta, the fin
+points along (-cos theta, +sin theta) from its shaft. Forces act from the fin on its mount.
 """
 
 from collections.abc import Mapping, Sequence

@@ -115,7 +115,7 @@ Learned: TypeAlias = tuple[Learners, Metrics]
 
 @dataclass(frozen=True)
 class PPO:
-    """LSTM-PPO on a task for a number of updates."""
+    """LSTM-PPO on a task, for a given number of updates."""
 
     task: ForceTracking
     config: PPOConfig

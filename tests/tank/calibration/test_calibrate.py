@@ -179,7 +179,7 @@ def test_a_plant_is_moved_within_the_velocities_that_are_asked_for():
     ("changes", "error", "message"),
     [
         ({"parameters": {}}, ConfigurationError, "parameters: all are null"),
-        ({"segment_s": 30.0}, LogError, "training logs: none has 3001 rows"),
+        ({"segment_s": 30.0}, LogError, "training logs: none has the 3001 rows"),
         (
             {"segment_s": 2.5, "segments": 2},
             LogError,

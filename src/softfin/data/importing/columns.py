@@ -98,7 +98,7 @@ def check_unit(channel: str, column: Column, source: str) -> None:
     if kind in options:
         fix += f", or state its unit with {options[kind]}"
     raise LogError(
-        f"{source}: column {column.name!r}: unknown unit {column.unknown_unit!r} of {channel}; "
+        f"{source}: column {column.name!r}: unknown unit {column.unknown_unit!r} for {channel}; "
         f"known units are {', '.join(UNITS[kind])}; {fix}"
     )
 

@@ -79,7 +79,7 @@ class Server(socketserver.ThreadingTCPServer):
 
     @property
     def address(self) -> str:
-        """Address of the page for a browser."""
+        """Address of the page, to open in a browser."""
         return f"http://{LOOPBACK}:{self.server_address[1]}/"
 
     def data(self, since: int) -> bytes:

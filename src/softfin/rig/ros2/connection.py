@@ -216,7 +216,7 @@ def decode_ros_message(data: bytes, kind: str) -> Any:
 
 
 def read_stamp(message: object) -> int:
-    """Return the time since 1970 in the message header [ns]; 0 if there is no time."""
+    """Return the timestamp in the message header [ns since 1970], or 0 if it has none."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)
 

@@ -1,7 +1,7 @@
 """softfin as a ROS 2 node: publishes every sample and command, and receives references and the
 emergency stop.
 
-The thread of the loop makes all calls; nothing in this module waits or moves the fin.
+All calls are made from the loop's thread; nothing in this module blocks or moves the fin.
 """
 
 import functools

@@ -237,7 +237,7 @@ def force_loss(
     """Return the mean squared error of the scaled force, summed over both axes.
 
     The input is the measured motion of a segment or the motion predicted by the drive network. The
-    probability of the predicted motion rises from 0 to 1 over the `free_running` part of the
+    probability of using the predicted motion rises from 0 to 1 over the `free_running` part of the
     training.
     """
     # Scheduled sampling: at the end of training, the input is the predicted motion, as during use.

@@ -1,4 +1,4 @@
-"""Checks a servo before it is used and sets it up. Apart from the zero, nothing is stored
+"""Checks a servo and sets it up before use. Apart from the zero, nothing is stored
 permanently."""
 
 import struct
