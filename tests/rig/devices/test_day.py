@@ -94,7 +94,7 @@ def test_a_day_passes_over_a_pseudo_terminal(serial_rig, capsys):
 def test_a_day_passes_with_a_servo_that_keeps_its_zero(servo_rig, capsys):
     # Zeroing does not power the motor, so it needs no proof, but the proof depends on the zero.
     armed(servo_rig, "rig", "zero")
-    assert "own_stop: rig of emulated: no proof yet" in capsys.readouterr().out
+    assert "stop of the drive: rig of emulated: no proof yet" in capsys.readouterr().out
     armed(servo_rig, "rig", "check", "--prove")
     proof = load_record(servo_rig).stop_proof
     assert 0.1 <= proof.faulted_after_s <= 0.15
