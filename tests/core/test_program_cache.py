@@ -56,7 +56,7 @@ def test_the_help_says_where_programs_are_kept_and_how_to_switch_it_off(
     main(["--help"])
     told = capsys.readouterr().out
     assert f"cached in {tmp_path / '.cache' / 'softfin'}" in told
-    assert "SOFTFIN_CACHE=off to disable" in told
+    assert "SOFTFIN_CACHE=off to turn the cache off" in told
     no_setting.setenv("SOFTFIN_CACHE", "~/moved")
     assert f"cached in {tmp_path / 'moved'}" in describe_cache()
     no_setting.setenv("SOFTFIN_CACHE", "off")

@@ -96,7 +96,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     ]
     page = (out / "report.html").read_text()
     assert page.count("<img") > 6
-    assert page.index("Fin under the best controller") < page.index("<nav")
+    assert page.index("Fin with the best controller") < page.index("<nav")
     # Neither this fin nor the paper's networks can move in a page.
     assert not (out / "explore.html").exists()
     assert "explore.html" not in page

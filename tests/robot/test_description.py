@@ -66,7 +66,7 @@ def test_a_fin_s_axes_turn_from_thrust_towards_minus_y(ucat):
 
 def test_the_example_of_the_document_is_a_robot():
     text = (Path(__file__).parents[2] / "docs" / "robot.md").read_text()
-    example = dedent(text.partition("## The robot's file\n\n")[2].partition("\n\n`softfin")[0])
+    example = dedent(text.partition("## The robot file\n\n")[2].partition("\n\n`softfin")[0])
     assert RobotConfig.build(yaml.safe_load(example)).matrix().shape == (6, 4)
 
 

@@ -90,7 +90,9 @@ def window_means(
     return np.asarray(windows.reshape(*batch, count, PAPER_WINDOW, channels).mean(axis=-2))
 
 
-def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
+def interval(
+    values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE
+) -> list[float] | None:
     """Return the interval [low, high] of the mean of independent samples, by Student's t.
 
     Returns None for fewer than `FEWEST` samples, or if all samples are equal and therefore not
@@ -100,7 +102,7 @@ def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
     if n < FEWEST or np.ptp(values) == 0:
         return None
     # mean +- t * s / sqrt(n), with n - 1 degrees of freedom
-    quantile = stdtrit(n - 1, (1 + CONFIDENCE) / 2)
+    quantile = stdtrit(n - 1, (1 + confidence) / 2)
     half = float(quantile * np.std(values, ddof=1) / math.sqrt(n))
     mean = float(np.mean(values))
     return [mean - half, mean + half]
