@@ -278,7 +278,7 @@ def _notes(
     if not found["force_x"].is_unit_stated:
         # The unit of a force cannot be inferred from its size, because fins differ in size.
         text = f"column {found['force_x'].name!r} does not state its unit: N is assumed"
-        fix = f"state the unit: --force-unit {' or '.join(UNITS['force'])}"
+        fix = f"state the unit with --force-unit UNIT, one of {', '.join(UNITS['force'])}"
         notes.append(Issue("warning", "force unit", name, text, fix, "force_x"))
     read = {*(column.name for column in found.values()), *own}
     if unused := [column for column in names if column and column not in read]:
