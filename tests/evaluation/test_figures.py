@@ -63,19 +63,10 @@ def test_an_angle_beyond_90_degrees_is_still_drawn():
     assert np.degrees(np.abs(far.recording.reading.angle).max()) <= polar.get_thetamax()
 
 
-def test_learning_curves_show_the_runs_and_their_mean_as_far_as_all_go():
-    runs = {
-        "grid": [([0, 100, 200], [0, 1, 2]), ([0, 200, 400], [2, 4, 6])],
-        "single": [([0, 9], [1, 2])],
-    }
-    lines = learning_figure(runs, "reward").get_axes()[0].get_lines()
-    first, second, grid, single = lines
-    np.testing.assert_allclose(grid.get_xdata(), [0, 100, 200])
-    np.testing.assert_allclose(
-        [first.get_ydata(), second.get_ydata(), grid.get_ydata()], [[0, 1, 2], [2, 3, 4], [1, 2, 3]]
-    )
-    assert grid.get_label() == "grid, mean of 2"
-    assert single.get_label() == "single"
+def test_a_learning_curve_shows_the_errors_at_their_steps():
+    (line,) = learning_figure(([0, 100, 200], [3, 2, 1])).get_axes()[0].get_lines()
+    np.testing.assert_array_equal(line.get_xdata(), [0, 100, 200])
+    np.testing.assert_array_equal(line.get_ydata(), [3, 2, 1])
 
 
 def test_a_prediction_is_laid_over_its_measurement():
@@ -105,7 +96,7 @@ def test_drawing_leaves_no_global_state(evaluation, tmp_path):
 def test_the_same_figure_gives_the_same_file(tmp_path, suffix):
     # Not of polar axes: Matplotlib names their clip paths by addresses in memory.
     for name in "ab":
-        figure = learning_figure({"a": [([0, 1], [0, 1])]}, "reward")
+        figure = learning_figure(([0, 1], [0, 1]))
         save_figure(figure, tmp_path / f"{name}.{suffix}")
     one, other = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
     assert one == other

@@ -97,7 +97,7 @@ def page(results, evaluation, tmp_path_factory) -> Page:
     one = jax.tree.map(lambda x: x[:1], (recording.reference, recording.command, recording.reading))
     trajectory = experiments_figure(ExperimentRecording(*one))
     save_figure(prediction_figure(force, {"free-running": force}), folder / "prediction.png")
-    curves = learning_figure({"single": [([0, 1], [0, 1])]}, "reward")
+    curves = learning_figure(([0, 1], [0, 1]))
     save_figure(curves, folder / "learning.png")
     save_figure(trajectory, folder / "single.png")
     single = folder / "single.png"

@@ -7,8 +7,8 @@ program, which records every tick of 10 ms.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -183,6 +183,46 @@ RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
 ticks."""
 
 
+def closed_loop(
+    controller: Controller,
+    plant: Plant,
+    hold: Callable[[State, Command, Ticks], tuple[State, tuple[Reading, Any]]],
+    references: Float[Array, "actions 2"],
+    key: PRNGKeyArray,
+    clock: ActionClock,
+) -> tuple[Command, Reading, Any]:
+    """Run a controller on a plant from rest, with one reference per action.
+
+    `hold` holds a command for an action and returns the state, the readings and an output of its
+    own; both may be padded to the longest action. Returns the command, the readings and this
+    output for each tick.
+    """
+    actions = len(references)
+    Carry: TypeAlias = tuple[ControllerState, State, Measured]
+    Ticked: TypeAlias = tuple[Command, Reading, Any]
+
+    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Ticked]:
+        """Act on the readings taken while the previous action was held."""
+        (memory, state, measured) = carry
+        (reference, ticks) = now
+        memory, command = controller.act(memory, measured, reference)
+        state, (reading, output) = hold(state, command, ticks)
+        # Readings are padded to the longest action, so use the last valid angle and average only
+        # over the valid forces.
+        measured = Measured(
+            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
+        )
+        held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
+        return (memory, state, measured), (held, reading, output)
+
+    # The first action is computed before the first reading, as if the fin were at rest.
+    rest = Measured(jnp.float32(plant.limits.rest_angle), jnp.zeros(2))
+    carry = (controller.init(), plant.init(key), rest)
+    _, kept = jax.lax.scan(action, carry, (references, jnp.asarray(clock.action_ticks(actions))))
+    ticked: Ticked = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
+    return ticked
+
+
 @jit("low")
 def _program(
     parties: tuple[Controller, Plant],
@@ -193,32 +233,12 @@ def _program(
     """Run experiments; compiled once for all controllers and plants that differ only in their
     arrays."""
     controller, plant = parties
-    actions = references.shape[1]
-    Carry: TypeAlias = tuple[ControllerState, State, Measured]
 
-    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, RecordedTicks]:
-        """Act on the readings taken while the previous action was held."""
-        (memory, state, measured) = carry
-        (reference, ticks) = now
-        memory, command = controller.act(memory, measured, reference)
-        state, (reading, true_force) = hold_action_with_true_force(
-            plant, state, command, ticks, clock.max_ticks
-        )
-        # Readings are padded to the longest action, so use the last valid angle and average only
-        # over the valid forces.
-        measured = Measured(
-            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
-        )
-        held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
-        return (memory, state, measured), (held, reading, true_force)
+    def hold(state: State, command: Command, ticks: Ticks) -> tuple[State, tuple[Reading, Any]]:
+        return hold_action_with_true_force(plant, state, command, ticks, clock.max_ticks)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
-        # The first action is computed before the first reading, as if the fin were at rest.
-        rest = Measured(jnp.float32(plant.limits.rest_angle), jnp.zeros(2))
-        carry = (controller.init(), plant.init(key), rest)
-        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(clock.action_ticks(actions))))
-        recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
-        return recorded
+        return closed_loop(controller, plant, hold, asked, key, clock)
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(

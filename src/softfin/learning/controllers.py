@@ -2,7 +2,6 @@
 training."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle
 from pathlib import Path
 
 import jax
@@ -14,7 +13,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AnyArray
 from softfin.learning.policy import name_policy_arrays
 from softfin.learning.train import TrainedPolicies
-from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
+from softfin.storage.figures import BLUE, new_figure, save_figure, styled
 from softfin.storage.run_directory import TRAINING_LOG
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
@@ -30,22 +29,13 @@ def learning_curve(entries: Sequence[JsonObject], *names: str) -> Curve:
     return steps, values
 
 
-def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
-    """Plot the mean of each group of runs, with the individual runs as thinner lines."""
-    styles = zip(cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False)
+def learning_figure(curve: Curve) -> Figure:
+    """Plot the error without exploration noise during training."""
     with styled():
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
-        for (name, curves), (colour, line) in zip(runs.items(), styles, strict=False):
-            # The mean is computed at the steps of the first run, up to the end of the shortest run.
-            reach = min(steps[-1] for steps, _ in curves)
-            steps = [step for step in curves[0][0] if step <= reach]
-            values = np.stack([np.interp(steps, *curve) for curve in curves])
-            if len(curves) > 1:
-                axes.plot(steps, values.T, color=colour, linewidth=0.5, alpha=0.5)
-                name = f"{name}, mean of {len(curves)}"
-            axes.plot(steps, values.mean(axis=0), line, color=colour, label=name)
-        axes.set(xlabel="environment steps (actions)", ylabel=quantity)
+        axes.plot(*curve, color=BLUE, label="error without exploration noise")
+        axes.set(xlabel="environment steps (actions)", ylabel="mean error of both axes [N]")
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.legend()
     return figure
@@ -81,10 +71,7 @@ def save_policies(
     def write_training(folder: Path) -> None:
         extra_files(folder)
         curve = learning_curve(trained.log, "score_x_n", "score_y_n")
-        figure = learning_figure(
-            {"error without exploration noise": [curve]}, "mean error of both axes [N]"
-        )
-        save_figure(figure, folder / TRAINING_LOG / "learning.png")
+        save_figure(learning_figure(curve), folder / TRAINING_LOG / "learning.png")
 
     write_controller(
         path,

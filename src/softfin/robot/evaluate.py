@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
-from softfin.control.controller import ControllerState, LoadedController, Measured
+from softfin.control.controller import LoadedController
 from softfin.control.pytrees import register_controllers
 from softfin.control.references import nearest_trackable
 from softfin.core.action_clock import ActionClock
@@ -23,9 +23,10 @@ from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Ticks, drop_padding, masked_mean, repeat
-from softfin.core.quantities import TICK_S, Reading
+from softfin.core.plant import Ticks, repeat
+from softfin.core.quantities import TICK_S, Command, Reading
 from softfin.core.randomness import named_generator, named_key
+from softfin.evaluation.experiment import closed_loop
 from softfin.robot.allocation import Allocation, SixVector
 from softfin.robot.description import WRENCH_AXES, MaxThrust, RobotConfig, max_thrust_per_fin
 from softfin.robot.references import NODE_CLOCK, FinReferences
@@ -38,6 +39,9 @@ PART_OF_REACH = 0.7
 WINDOWS = 10
 """Number of windows for which each target is held, from rest; errors are computed over the second
 half."""
+
+Held: TypeAlias = tuple[TankState, tuple[Reading, Load]]
+"""State, and readings and loads, after one tick or an action."""
 
 ReportPart: TypeAlias = Callable[[float, str], None]
 """Function that shows the completed fraction and a note."""
@@ -230,31 +234,18 @@ def _loads(
     """Return the loads of a fin from rest, with fields ``(targets, repeats, ticks, ...)``; compiled
     once for all fins that differ only in their arrays."""
     controller, tank = fin
-    actions = references.shape[2]
-    Carry: TypeAlias = tuple[ControllerState, TankState, Measured]
 
-    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Load]:
-        memory, state, measured = carry
-        reference, ticks = now
-        memory, command = controller.act(memory, measured, reference)
-
-        def tick(state: TankState) -> tuple[TankState, tuple[Reading, Load]]:
+    def hold(state: TankState, command: Command, ticks: Ticks) -> Held:
+        def tick(state: TankState) -> Held:
             state, reading, load = tank.tick(state, command)
             return state, (reading, load)
 
-        state, (reading, load) = repeat(tick, state, ticks, clock.max_ticks)
-        # Only the first `ticks` rows are valid.
-        measured = Measured(
-            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
-        )
-        return (memory, state, measured), load
+        return repeat(tick, state, ticks, clock.max_ticks)
 
     def one(references: Float[Array, "actions 2"], key: PRNGKeyArray) -> Load:
-        rest = Measured(jnp.float32(tank.limits.rest_angle), jnp.zeros(2))
-        carry = (controller.init(), tank.init(key), rest)
-        held = (references, jnp.asarray(clock.action_ticks(actions)))
-        _, load = jax.lax.scan(action, carry, held)
-        return Load(*(drop_padding(rows, actions, clock) for rows in load))
+        loads: Load
+        _, _, loads = closed_loop(controller, tank, hold, references, key, clock)
+        return loads
 
     loads: Load = jax.vmap(jax.vmap(one), in_axes=(0, None))(references, keys)
     return loads
