@@ -135,12 +135,13 @@ class StatusLine:
             self.say(state)
             return
         state = state[: shutil.get_terminal_size().columns - 1]
+        text = f"{state}\n{keys}"
         if self._is_shown:
-            sys.stderr.write(f"{SAVE_CURSOR}{LINE_UP}{ERASE_LINE}{state}{RESTORE_CURSOR}")
-        else:
-            sys.stderr.write(f"{state}\n{keys}")
-        sys.stderr.flush()
+            text = f"{SAVE_CURSOR}{LINE_UP}{ERASE_LINE}{state}{RESTORE_CURSOR}"
+        # Set first, because the operator may press Enter in the meantime.
         self._is_shown = True
+        sys.stderr.write(text)
+        sys.stderr.flush()
 
     def say(self, text: str) -> None:
         """Print a permanent line; the next state is shown below it."""

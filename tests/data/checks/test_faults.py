@@ -253,3 +253,8 @@ def test_degrees_that_are_radians_are_told():
 
     config = ImportConfig(angles=dict.fromkeys(("angle", "command_angle"), "deg"))
     assert found(faulty(shrink), config=config)["radians"].fix == "--angles rad"
+
+
+@pytest.mark.parametrize("fin", ["tank", "hand", "vehicle"])
+def test_angles_that_are_too_small_get_no_advice_about_a_shaft_frame(fin):
+    assert "shaft frame" not in found(faulty(FAULTS["10-bit counts"], fin))

@@ -374,3 +374,14 @@ def test_torque_is_shifted_with_the_force():
     )
     torque, current = one.log.channels["torque_nm"], one.log.channels["current_a"]
     np.testing.assert_allclose(torque[10:900] - current[10:900], 0.05, atol=1e-4)
+
+
+@pytest.mark.parametrize(("late_s", "names"), [(0.1, []), (0.5, ["unused rows"])])
+def test_what_precedes_the_first_command_is_left_out_with_a_note(late_s, names):
+    whole = track()
+    commands = {name: whole.channels[name] for name in NAMES[:2]}
+    readings = {name: whole.channels[name] for name in NAMES[2:]}
+    late = Track(whole.time, commands).take(whole.time - whole.time[0] >= late_s - 1e-6)
+    (one,), issues = logs(Track(whole.time, readings), late)
+    assert kinds(issues) == names
+    assert len(one.log.reading.time) == 1000 - round(100 * late_s)

@@ -134,10 +134,12 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
         explained_shares(angle, axis + 0j, SEARCHED_TICKS) for axis in (force.real, force.imag)
     ]
     x, y = [int(own.argmax()) for own in of_axes]
-    is_apart = abs(x - y) > MAX_LAG_CHANGE_TICKS and min(own.max() for own in of_axes) > 0.5
+    axis_lags_ms = None
+    if abs(x - y) > MAX_LAG_CHANGE_TICKS and min(own.max() for own in of_axes) > 0.5:
+        axis_lags_ms = (10.0 * (x - SEARCHED_TICKS), 10.0 * (y - SEARCHED_TICKS))
     lag_ms = None
     is_known = 0 < best < 2 * SEARCHED_TICKS and near[best] >= max(0.3, far.max() - 0.1)
-    if is_known and not late and not is_apart:
+    if is_known and not late and axis_lags_ms is None:
         # Vertex of the parabola through the best lag and its two neighbours.
         left, middle, right = near[best - 1 : best + 2]
         lag_ticks = best - SEARCHED_TICKS + (left - right) / 2 / (left - 2 * middle + right)
@@ -148,9 +150,7 @@ def find_force_lag(angle: LogSeries, force: ForceSeries) -> ForceLag:
         far_lag_ms=(int(far.argmax()) - ticks) * TICK_S * 1e3,
         far_share=float(far.max()),
         late_force_s=late,
-        axis_lags_ms=(10.0 * (x - SEARCHED_TICKS), 10.0 * (y - SEARCHED_TICKS))
-        if is_apart
-        else None,
+        axis_lags_ms=axis_lags_ms,
     )
 
 

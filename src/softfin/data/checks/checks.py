@@ -159,8 +159,11 @@ class CheckedLog(NamedTuple):
 
 def check_counts(log: CheckedLog) -> Iterator[Issue]:
     """Find angles in encoder counts that were read as radians."""
-    fix = COUNTS_FIX
     raw = log.raw
+    channels = channels_in_counts(raw)
+    if not channels:
+        return
+    fix = COUNTS_FIX
     count = UNITS["angle"]["dynamixel"]
     ratio = speed_ratio(
         count * raw.command_angle,
@@ -171,8 +174,8 @@ def check_counts(log: CheckedLog) -> Iterator[Issue]:
         # The middle of the range is 0, or half a turn.
         zero = 2048 if np.median(raw.angle) > 1024 else 0
         fix = f"--angles dynamixel --angle-zero {zero}"
-    for channel in channels_in_counts(log.raw):
-        values = getattr(log.raw, channel)
+    for channel in channels:
+        values = getattr(raw, channel)
         message = (
             f"ranges from {values.min():.4g} to {values.max():.4g}: these look like encoder "
             "counts, not rad or degrees"
@@ -475,13 +478,16 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
         return
     given = found.frames["x,y"]
     in_frame = found.frames[found.frame]
+    # If the angle is too small by a factor, the force seems to turn with a reversed shaft.
+    ratio = found.speed_ratio
+    is_scale_wrong = found.is_shaft_reversed and ratio is not None and not 0.9 < ratio < 1.1
     severity: Severity = "error"
     if found.correlation < MIN_FRAME_CORRELATION:
         severity = "warning"
         name = "unexplained force"
         reading = f"at most {found.correlation:.2f} in other axes"
         fix = "check the clocks, and check that force and angle are from the same experiment"
-    elif found.shaft_correlation > found.correlation + SHAFT_GAIN:
+    elif found.shaft_correlation > found.correlation + SHAFT_GAIN and not is_scale_wrong:
         name = "shaft frame"
         reading = f"{found.shaft_correlation:.2f} if the sensor turns with the shaft"
         formula = "x cos(a) + y sin(a), y cos(a) - x sin(a)"

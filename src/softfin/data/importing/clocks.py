@@ -28,6 +28,9 @@ RATES_HZ = (5.0, 20_000.0)
 MAX_GRID_S = 0.002
 """Coarsest plausible clock resolution, unless the clock counts rows [s]."""
 
+MAX_UNUSED_S = 0.2
+"""Longest part of a recording that is left out without a note [s]."""
+
 MAX_LONG_STEPS = 0.15
 """Largest plausible share of such a clock's steps that are longer than the others."""
 
@@ -365,9 +368,18 @@ def _split_at_gaps(
             f"{name}: the channels have no time in common: {'; '.join(times)}; timestamp all "
             "channels with the same clock"
         )
+    issues = []
+    start_s = begin - min(float(track.time[0]) for track in reading)
+    end_s = max(float(track.time[-1]) for track in reading) - end
+    if start_s + end_s > MAX_UNUSED_S:
+        message = (
+            f"{start_s:.2f} s at the start and {end_s:.2f} s at the end are not used, because a "
+            "channel has no value there yet, or no more"
+        )
+        issues.append(Issue("note", "unused rows", name, message, column="time"))
     gaps = _find_gaps(reading, (begin, end), config)
     if not gaps:
-        return [(begin, end)], []
+        return [(begin, end)], issues
     kept = []
     dropped = []
     edge = begin
@@ -391,7 +403,8 @@ def _split_at_gaps(
             f"s, dropped: {sum(dropped):.2f} s in total"
         )
         fix += "; --shortest 1 would keep shorter pieces"
-    return kept, [Issue("warning", "gap", name, message, fix, "time", row)]
+    issues.append(Issue("warning", "gap", name, message, fix, "time", row))
+    return kept, issues
 
 
 def _find_gaps(
