@@ -197,7 +197,7 @@ function drawWater(canvas, loop, fin, note) {
   pen.textBaseline = "alphabetic";
   pen.fillText(note, 10, height - 10);
   pen.textAlign = "right";
-  const keys = [["measured", `force, ${short((FORCE_N * finSize) / 3)} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `${(WINDOW * TICK_S).toPrecision(2)} s mean, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 54]];
+  const keys = [["measured", `force, ${short((FORCE_N * finSize) / 3)} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `mean over ${Number((WINDOW * TICK_S).toPrecision(2))} s, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 54]];
   for (const [colour, text, at, y] of Number.isFinite(reference[0]) ? keys : keys.slice(0, 2)) {
     pen.fillStyle = colours[colour];
     pen.fillRect(width - 10 - at, y - 6, at, colour === "mean" ? 2 : 4);

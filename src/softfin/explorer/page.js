@@ -167,7 +167,7 @@ function tell(predicted) {
   show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
   show("sobolev", loop.time < WINDOW ? none : average.sobolev());
   if (predictor() >= 0) {
-    element("predictor").textContent = `${seconds(INTERVAL_WINDOW)} s mean in ${plants[predictor()].name}`;
+    element("predictor").textContent = `mean over ${Number(seconds(INTERVAL_WINDOW))} s in ${plants[predictor()].name}`;
     element("coverage").textContent = `its ${Math.round(100 * plants[predictor()].interval.coverage)}% interval, \u00b1`;
     show("predicted", predicted ? predicted.mean : none);
     show("half", predicted ? predicted.half : none);
