@@ -201,3 +201,9 @@ def test_a_folder_may_begin_like_an_option(tmp_path, monkeypatch, capsys):
     write_dataset(tmp_path / "-logs", [small.recorded(300, seed) for seed in range(2)], [], {})
     assert softfin("inspect", "--", "-logs") == 0
     assert "next: softfin fit ./-logs " in capsys.readouterr().out
+
+
+def test_a_name_of_an_error_that_is_not_there_is_noted(tmp_path, capsys):
+    write_dataset(tmp_path / "data", [small.recorded(300, seed) for seed in range(2)], [], {})
+    assert softfin("inspect", tmp_path / "data", "--ignore-errors", "stuk") == 0
+    assert "--ignore-errors stuk: these logs have no such issue" in capsys.readouterr().out

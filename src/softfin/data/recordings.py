@@ -135,6 +135,10 @@ def open_logs(
             "use --shortest 1 to keep shorter pieces, or --gap SECONDS to bridge longer gaps"
         )
     inspection = inspect(logs, issues, config, progress)
+    present = {"all", *(issue.name.replace(" ", "-") for issue in inspection.issues)}
+    if absent := [name for name in config.ignore_errors if name.replace(" ", "-") not in present]:
+        text = f"--ignore-errors {','.join(absent)}: these logs have no such issue"
+        inspection.issues.append(Issue("note", "nothing to ignore", "all logs", text))
     options = config.model_dump(mode="json", exclude_defaults=True, exclude={"ignore_errors"})
     data_hash = dataset.data_hash if dataset and not options else _hash(files, path, options)
     metadata = {
