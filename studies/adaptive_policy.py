@@ -16,7 +16,6 @@ training. `errors` scores any `Controller` in the same way.
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -298,8 +297,12 @@ class Errors(NamedTuple):
 
     def spread(self) -> Float[np.ndarray, "windows"]:
         """Return the rms over references and axes of the standard deviation between fins [N]: the
-        part of the error that a constant correction cannot remove."""
+        part of the error that no correction removes that is the same for all fins."""
         return np.asarray(np.sqrt(self.force.var(axis=2).mean(axis=(1, 2))))
+
+    def common(self) -> Float[np.ndarray, "windows"]:
+        """Return the rms over references and axes of the mean error of all fins [N]."""
+        return np.asarray(np.sqrt((self.force.mean(axis=2) ** 2).mean(axis=(1, 2))))
 
     def half_interval(self) -> Float[np.ndarray, "windows"]:
         """Return the half-width of the 95% interval of the rms error, from the scatter between fins
@@ -405,10 +408,11 @@ def print_information(num_training: int = 200, num_test: int = 100) -> None:
         print(f"| {reference} N | {before} | {after} |")
 
 
-def training_config(actions: int) -> TrainConfig:
+def training_config(actions: int, num_envs: int = SINGLE.ppo.num_envs) -> TrainConfig:
     """Return softfin's configuration for a single policy, with the senses."""
     task = AdaptiveTaskConfig.model_validate(SINGLE.task.model_dump())
-    return SINGLE.model_copy(update={"steps": actions, "task": task})
+    ppo = SINGLE.ppo.model_copy(update={"num_envs": num_envs})
+    return SINGLE.model_copy(update={"steps": actions, "task": task, "ppo": ppo})
 
 
 def reachable_forces() -> Reachable:
@@ -456,12 +460,12 @@ def _evaluate(
     return jax.vmap(one)(visible, policies)
 
 
-def train(
-    config: TrainConfig, variants: Sequence[str], seeds: int, log: Path
-) -> tuple[Policy, list[dict[str, Any]]]:
-    """Train every variant with every seed, all in one program. Return the policies with the lowest
-    validation error, ``(variants * seeds, ...)``, and the learning curves; the curves so far are in
-    `log`."""
+def train(config: TrainConfig, variants: Sequence[str], seeds: int, folder: Path) -> None:
+    """Train every variant with every seed, all in one program.
+
+    After each evaluation, write the policies with the lowest validation error so far and the
+    learning curves to the folder.
+    """
     reachable = reachable_forces()
     box = reachable.bounding_box()
     references = References.of(box, jax.tree.map(jnp.asarray, reachable))
@@ -470,7 +474,7 @@ def train(
     # The variants of a seed start from the same weights and fins.
     keys = jnp.stack([named_key(seed, "adaptive/train") for seed in range(seeds)] * len(variants))
     agents = _start(config, visible, keys, references)
-    best: Policy | None = None
+    best = agents.policy
     lowest = np.full(len(keys), np.inf)
     curves: list[dict[str, Any]] = []
     start = time.monotonic()
@@ -479,72 +483,60 @@ def train(
         count = config.num_evaluations
         if update * count // config.num_updates == (update - 1) * count // config.num_updates:
             continue
-        score = _evaluate(config, visible, agents.policy, lattice)
-        score = np.asarray(score).mean(axis=(1, 2))
-        is_better = score < lowest
-        lowest = np.where(is_better, score, lowest)
-        best = (
-            agents.policy
-            if best is None
-            else jax.tree.map(partial(_choose, is_better), agents.policy, best)
-        )
+        score = np.asarray(_evaluate(config, visible, agents.policy, lattice)).mean(axis=(1, 2))
+        best = jax.tree.map(partial(_choose, score < lowest), agents.policy, best)
+        lowest = np.minimum(lowest, score)
+        scores = score.reshape(len(variants), seeds)
+        step = update * config.ppo.steps_per_update
         curves.append(
             {
-                "step": update * config.ppo.steps_per_update,
-                "seconds": time.monotonic() - start,
-                "score_n": score.reshape(len(variants), seeds).tolist(),
-                "std": np.asarray(metrics["std"]).reshape(len(variants), seeds).tolist(),
+                "step": step,
+                "score_n": dict(zip(variants, scores.tolist(), strict=True)),
+                "exploration_std": float(np.mean(metrics["std"])),
                 "kl": float(np.mean(metrics["kl"])),
             }
         )
-        log.write_text(json.dumps({"variants": list(variants), "curves": curves}, indent=1))
+        (folder / "curves.json").write_text(json.dumps(curves, indent=1))
+        eqx.tree_serialise_leaves(folder / "policies.eqx", best)
         means = ", ".join(
-            f"{name} {mean:.3f}"
-            for name, mean in zip(
-                variants, score.reshape(len(variants), seeds).mean(axis=1), strict=True
-            )
+            f"{name} {mean:.3f}" for name, mean in zip(variants, scores.mean(axis=1), strict=True)
         )
-        print(
-            f"{curves[-1]['step']:,} actions, {curves[-1]['seconds']:.0f} s: {means} N", flush=True
-        )
-    assert best is not None
-    return best, curves
+        print(f"{step:,} actions, {time.monotonic() - start:.0f} s: {means} N", flush=True)
 
 
 def _choose(is_better: np.ndarray, new: AnyArray, old: AnyArray) -> np.ndarray:
     return np.where(is_better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-def load_policies(run: Path, actions: int) -> dict[str, list[AdaptivePolicy]]:
-    """Load the policies of a training run by variant, one per seed."""
-    folder = run / f"{actions}"
-    log = json.loads((folder / "curves.json").read_text())
-    variants = log["variants"]
-    seeds = len(log["curves"][0]["score_n"][0])
-    config = training_config(actions)
+def load_policies(folder: Path) -> tuple[int, dict[str, list[AdaptivePolicy]]]:
+    """Load the policies of a training run; return the number of actions of each, and the policies
+    by variant, one per seed."""
+    last = json.loads((folder / "curves.json").read_text())[-1]
+    config = training_config(last["step"])
     task = config.task
     assert isinstance(task, AdaptiveTaskConfig)
 
     def create(key: PRNGKeyArray) -> Policy:
         return Policy.create(key, config.policy, task.observations)
 
-    like = jax.eval_shape(
-        jax.vmap(create), jax.random.split(jax.random.key(0), len(variants) * seeds)
+    owners = [name for name, scores in last["score_n"].items() for _ in scores]
+    keys = jax.random.split(jax.random.key(0), len(owners))
+    policies = eqx.tree_deserialise_leaves(
+        folder / "policies.eqx", jax.eval_shape(jax.vmap(create), keys)
     )
-    policies = eqx.tree_deserialise_leaves(folder / "policies.eqx", like)
     limits = random_fins().limits
-    loaded: dict[str, list[AdaptivePolicy]] = {name: [] for name in variants}
-    for index in range(len(variants) * seeds):
-        name = variants[index // seeds]
+    loaded: dict[str, list[AdaptivePolicy]] = {name: [] for name in owners}
+    for index, name in enumerate(owners):
         policy = jax.tree.map(lambda leaf, index=index: leaf[index], policies)
         visible = jnp.array(VARIANTS[name], float)
         loaded[name].append(AdaptivePolicy(policy, visible, task, limits))
-    return loaded
+    return last["step"], loaded
 
 
 def row(name: str, scored: Sequence[Errors]) -> str:
     """Format the scores of a controller, one `Errors` per seed, as a row of the table."""
     rms = np.array([one.rms() for one in scored])
+    common = np.array([one.common() for one in scored]).mean(axis=0)
     spread = np.array([one.spread() for one in scored]).mean(axis=0)
     half = np.array([one.half_interval() for one in scored]).mean(axis=0)
     cells = [name, f"{len(scored)}"]
@@ -552,8 +544,8 @@ def row(name: str, scored: Sequence[Errors]) -> str:
         f"{mean:.3f} \N{PLUS-MINUS SIGN} {width:.3f}"
         for mean, width in zip(rms.mean(axis=0), half, strict=True)
     ]
-    deviation = rms[:, -1].std(ddof=1) if len(scored) > 1 else np.nan
-    cells += [f"{deviation:.3f}", f"{spread[-1]:.3f}"]
+    cells.append(f"{rms[:, -1].std(ddof=1):.3f}" if len(scored) > 1 else "\N{EN DASH}")
+    cells += [f"{common[-1]:.3f}", f"{spread[-1]:.3f}"]
     per_reference = np.sqrt(
         np.mean([(one.force[-1] ** 2).mean(axis=(1, 2)) for one in scored], axis=0)
     )
@@ -562,28 +554,26 @@ def row(name: str, scored: Sequence[Errors]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def print_table(run: Path, keys: Key[Array, "fins"], names: Sequence[str]) -> None:
+def print_table(run: Path, keys: Key[Array, "fins"]) -> None:
     """Score the controllers of the example and all trained policies."""
     windows = [f"rms {start} to {start + 2} s [N]" for start in WINDOW_STARTS_S]
-    titles = ["controller", "seeds", *windows, "SD over seeds [N]", "SD over fins [N]"]
+    titles = ["controller", "seeds", *windows]
+    titles += ["SD over seeds [N]", "mean over fins [N]", "SD over fins [N]"]
     titles += [f"{reference} N" for reference in TEST_REFERENCES] + ["SD of angle [rad]"]
     print("| " + " | ".join(titles) + " |\n|" + " --- |" * len(titles))
-    for name in names:
-        print(
-            row(f"{name} of the example", [errors(load_controller(EXAMPLE / name), keys)]),
-            flush=True,
-        )
-    finished = [int(file.parent.name) for file in run.glob("*/policies.eqx")]
-    for actions in sorted(finished):
-        for variant, policies in load_policies(run, actions).items():
+    for name in ("gaits", "single"):
+        scored = [errors(load_controller(EXAMPLE / name), keys)]
+        print(row(f"{name} of the example", scored), flush=True)
+    runs = [load_policies(file.parent) for file in run.glob("*/policies.eqx")]
+    for actions, variants in sorted(runs, key=lambda run: run[0]):
+        for variant, policies in variants.items():
             scored = [errors(policy, keys) for policy in policies]
             print(row(f"{variant}, {actions:,} actions", scored), flush=True)
-            if variant == "adaptive":
-                shuffled = [errors(policy, keys, shuffle_torque=True) for policy in policies]
-                print(
-                    row(f"{variant}, {actions:,} actions, torque of another fin", shuffled),
-                    flush=True,
-                )
+        if "adaptive" in variants:
+            shuffled = [errors(each, keys, shuffle_torque=True) for each in variants["adaptive"]]
+            print(
+                row(f"adaptive, {actions:,} actions, torque of another fin", shuffled), flush=True
+            )
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -591,22 +581,23 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("step", choices=("train", "score", "information"))
     parser.add_argument("run", type=Path, nargs="?", help="folder of all policies")
     parser.add_argument("--actions", type=int, default=100_000, help="per policy")
+    parser.add_argument("--envs", type=int, default=SINGLE.ppo.num_envs, help="per policy")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--fins", type=int, default=100)
     options = parser.parse_args(words)
-    if options.step == "score":
-        print_table(options.run, held_out_keys(options.fins), ("gaits", "single"))
-        return
     if options.step == "information":
         print_information()
         return
+    if options.run is None:
+        parser.error(f"{options.step}: RUN is missing; name the folder of the policies")
+    if options.step == "score":
+        print_table(options.run, held_out_keys(options.fins))
+        return
     folder = options.run / f"{options.actions}"
     folder.mkdir(parents=True, exist_ok=True)
-    config = training_config(options.actions)
-    policies, _ = train(config, options.variants, options.seeds, folder / "curves.json")
-    eqx.tree_serialise_leaves(folder / "policies.eqx", policies)
-    sys.stdout.write(f"{folder}\n")
+    config = training_config(options.actions, options.envs)
+    train(config, options.variants, options.seeds, folder)
 
 
 if __name__ == "__main__":
