@@ -35,7 +35,7 @@ from softfin.control.pytrees import register_controllers
 from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
-from softfin.core.plant import Ticks, masked_mean, repeat
+from softfin.core.plant import Ticks, hold_action_with_hidden, masked_mean
 from softfin.core.quantities import (
     RATE_HZ,
     AnyArray,
@@ -45,7 +45,7 @@ from softfin.core.quantities import (
     action_to_command,
 )
 from softfin.core.randomness import named_key
-from softfin.evaluation.experiment import closed_loop
+from softfin.evaluation.experiment import Held, closed_loop
 from softfin.gaits.reachable import ForceVector, Reachable
 from softfin.learning.configuration import SINGLE, TrainConfig
 from softfin.learning.policy import Policy
@@ -153,35 +153,28 @@ class SensedFins(eqx.Module):
     ) -> tuple[SensedState, Reading]:
         """Hold a command for one action. The readings contain the true force, because the reward in
         a simulation need not suffer from the errors of a sensor."""
-        state, (reading, true_force) = self.hold(state, command, ticks, rows)
-        return state, reading._replace(force=true_force)
-
-    def hold(
-        self, state: SensedState, command: Command, ticks: Ticks, rows: int
-    ) -> tuple[SensedState, tuple[Reading, Float[Array, "rows 2"]]]:
-        """Hold a command for one action and return the readings and the true force."""
-        tank, before = state.fin
-
-        def tick(inner: Any) -> tuple[Any, tuple[Reading, Array, Array]]:
-            inner, reading, channels = tank.measure(inner, command)
-            return inner, (reading, tank.true_force(inner), channels["torque_nm"])
-
-        after, (reading, true_force, torque) = repeat(tick, before, ticks, rows)
-        load = Load(masked_mean(torque, ticks), command.angle - reading.angle[ticks - 1])
-        return SensedState((tank, after), load), (reading, true_force)
-
-    def parameters(self, state: SensedState) -> Parameters:
-        """Return the parameters of the fin that change its force, relative to the default fin and
-        scaled to about [-1, 1]: stiffness, drag, added mass and dead time."""
-        tank = state.fin[0]
-        default = self.fins.tank
-        ratios = (
-            tank.fin.stiffness[0] / default.fin.stiffness[0],
-            tank.water.drag[0, 0] / default.water.drag[0, 0],
-            tank.water.tip[-1] / default.water.tip[-1],
-            tank.drive.dead_time / default.drive.dead_time,
+        held = hold_action_with_hidden(self.fins, state.fin, command, ticks, rows)
+        fin, (reading, hidden) = held
+        assert hidden.torque is not None
+        load = Load(
+            masked_mean(jnp.asarray(hidden.torque[:, 0]), ticks),
+            command.angle - reading.angle[ticks - 1],
         )
-        return jnp.log(jnp.stack(ratios)) / 0.3
+        return SensedState(fin, load), reading._replace(force=hidden.true_force)
+
+
+def fin_parameters(fins: RandomizedTank, state: RandomizedTankState) -> Parameters:
+    """Return the parameters of a fin that change its force, relative to the default fin and scaled
+    to about [-1, 1]: stiffness, drag, added mass and dead time."""
+    tank = state[0]
+    default = fins.tank
+    ratios = (
+        tank.fin.stiffness[0] / default.fin.stiffness[0],
+        tank.water.drag[0, 0] / default.water.drag[0, 0],
+        tank.water.tip[-1] / default.water.tip[-1],
+        tank.drive.dead_time / default.drive.dead_time,
+    )
+    return jnp.log(jnp.stack(ratios)) / 0.3
 
 
 def scale_senses(load: Load, parameters: Parameters) -> Senses:
@@ -211,17 +204,17 @@ class AdaptiveTracking(ForceTracking):
     visible: Senses
 
     def __init__(self, config: TaskConfig, visible: Senses) -> None:
-        super().__init__(random_fins(), config)
+        super().__init__(SensedFins(random_fins()), config)
         object.__setattr__(self, "visible", visible)
 
     def observe(self, state: TaskState) -> Float[Array, "observations"]:
         """Return the observation of `ForceTracking` and the visible senses."""
-        senses = scale_senses(state.plant.load, self.plant.parameters(state.plant))
+        senses = scale_senses(state.plant.load, fin_parameters(self.plant.fins, state.plant.fin))
         return jnp.concatenate([super().observe(state), self.visible * senses])
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
         """Return the input of the critic."""
-        parameters = self.plant.parameters(state.plant)
+        parameters = fin_parameters(self.plant.fins, state.plant.fin)
         return jnp.concatenate([super().privileged_observation(state), parameters])
 
 
@@ -235,8 +228,7 @@ class AdaptiveState(NamedTuple):
 
 
 class AdaptivePolicy(eqx.Module):
-    """A trained policy of any variant; implements `Controller`. It receives the mean torque of the
-    last action [N m] in place of the force."""
+    """A trained policy of any variant; implements `Controller`."""
 
     policy: Policy
     visible: Senses
@@ -262,7 +254,8 @@ class AdaptivePolicy(eqx.Module):
         self, state: AdaptiveState, measured: Measured, reference: Array
     ) -> tuple[AdaptiveState, Command]:
         """Compute the deterministic action."""
-        load = Load(measured.force[0], state.angle - measured.angle)
+        assert measured.shaft is not None
+        load = Load(measured.shaft[0], state.angle - measured.angle)
         senses = self.visible * scale_senses(load, self.parameters)
         now = observation(self.config, measured.angle, reference, state.actions)
         memory, action = self.policy.act(state.memory, jnp.concatenate([now, senses]))
@@ -273,9 +266,9 @@ class AdaptivePolicy(eqx.Module):
         """Accept any reference."""
 
 
-def random_fins() -> SensedFins:
+def random_fins() -> RandomizedTank:
     """Return fins around the default tank."""
-    return SensedFins(RandomizedTank(Tank(), WIDTHS))
+    return RandomizedTank(Tank(), WIDTHS)
 
 
 def held_out_keys(count: int) -> Key[Array, "fins"]:
@@ -325,8 +318,7 @@ def errors(
 ) -> Errors:
     """Run a controller from rest on the fin of each key, for each reference.
 
-    An `AdaptivePolicy` receives the torque; any other controller receives the measured force. With
-    `shuffle_torque`, the policy on each fin receives the torque of a different fin.
+    With `shuffle_torque`, the controller on each fin receives the torque of a different fin.
     """
     register_controllers()
     force, angle, _ = _run(
@@ -349,7 +341,7 @@ def _force_errors(
 @jit("low")
 def _run(
     controller: Controller,
-    plant: SensedFins,
+    plant: RandomizedTank,
     references: Float[Array, "references 2"],
     keys: Key[Array, "fins"],
     shuffle_torque: bool,
@@ -359,28 +351,25 @@ def _run(
     clock = controller_clock(controller)
     ticks = TEST_S * RATE_HZ
     actions = clock.actions_within(ticks)
-    observes_torque = isinstance(controller, AdaptivePolicy)
     neighbours = [(i, (i + 1) % len(keys)) for i in range(len(keys))]
 
-    def hold(
-        state: SensedState, command: Command, ticks: Ticks
-    ) -> tuple[SensedState, tuple[Reading, tuple[Array, Array]]]:
-        state, (reading, true_force) = plant.hold(state, command, ticks, clock.max_ticks)
-        own_torque = jnp.broadcast_to(state.load.torque, reading.angle.shape)
-        if observes_torque:
-            torque = state.load.torque
-            if shuffle_torque:
-                torque = jax.lax.ppermute(torque, "fins", neighbours)
-            reading = reading._replace(force=jnp.broadcast_to(torque, reading.force.shape))
-        return state, (reading, (true_force, own_torque))
+    def hold(state: RandomizedTankState, command: Command, ticks: Ticks) -> Held:
+        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
+        state, (reading, hidden) = held
+        torque = jnp.asarray(hidden.torque)
+        mean_torque = jnp.full(clock.max_ticks, masked_mean(torque[:, 0], ticks))
+        if shuffle_torque:
+            torque = jax.lax.ppermute(torque, "fins", neighbours)
+        return state, (reading, torque, (hidden.true_force, mean_torque))
 
     def one(reference: Float[Array, "2"], key: PRNGKeyArray) -> tuple[Array, Array, Array]:
-        own = controller
+        own: Any = controller
         if isinstance(controller, AdaptivePolicy):
-            own = controller.knowing(plant.parameters(plant.init(key)))
+            own = controller.knowing(fin_parameters(plant, plant.init(key)))
         series = jnp.tile(reference, (actions, 1))
-        _, reading, (force, torque) = closed_loop(own, plant, hold, series, key, clock)
-        return force[:ticks], reading.angle[:ticks], torque[:ticks]
+        recording = closed_loop(own, plant, hold, series, key, clock)
+        force, torque = recording.output
+        return force[:ticks], recording.reading.angle[:ticks], torque[:ticks]
 
     over_fins = jax.vmap(one, in_axes=(None, 0), axis_name="fins")
     result: tuple[Array, Array, Array] = jax.vmap(over_fins, in_axes=(0, None))(references, keys)
