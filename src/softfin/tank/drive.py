@@ -28,8 +28,8 @@ DEAD_TICKS = 20
 """Maximum dead time [10 ms]."""
 
 TORQUE_CONSTANT_NM_A = 111 * 0.0259
-"""Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a torque
-constant of the motor of 25.9 mN m/A."""
+"""Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a
+torque constant of 25.9 mN m/A of the motor."""
 
 
 class DriveConfig(Configuration):

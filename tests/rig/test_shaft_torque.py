@@ -1,0 +1,125 @@
+import math
+
+import pytest
+
+from softfin.core.quantities import RATE_HZ
+from softfin.rig.machine import Sample
+from softfin.rig.safety import Guard, SafetyConfig
+from softfin.rig.session import Session
+from softfin.rig.shaft_torque import JUDGED_S, ShaftTorque
+from tests.rig.machines import FreeFin
+
+ACTION_TICKS = 33
+DRAG_NM_S = 0.2
+CONSTANT_NM_A = 2.5
+
+
+def action(torque=None, current=None, swing_rad=1.0):
+    """The samples of one stroke back and forth; torque and current are functions of the velocity,
+    and not measured by default."""
+    samples = []
+    for tick in range(ACTION_TICKS):
+        phase = 2 * math.pi * tick / ACTION_TICKS
+        velocity = swing_rad * math.cos(phase)
+        wrench = (1.0, 0.5, 0.0, 0.0, 0.0, 0.0 if torque is None else torque(velocity))
+        amperes = None if current is None else current(velocity)
+        angle = swing_rad * math.sin(phase)
+        samples.append(Sample(0.0, angle, velocity, amperes, None, 0.0, wrench, ()))
+    return samples
+
+
+def drag(velocity):
+    return 0.4 + DRAG_NM_S * velocity
+
+
+def made(constant_nm_a=None, rest_nm=0.0, is_needed=False):
+    machine = FreeFin()
+    machine.torque_constant_nm_a = constant_nm_a
+    session = Session(machine, Guard(SafetyConfig(), machine.limits))
+    session.at_rest = action(torque=lambda velocity: rest_nm)
+    warnings = []
+    return ShaftTorque(session, warnings.append, is_needed), warnings
+
+
+def test_the_torque_of_the_sensor_is_relative_to_its_value_at_rest():
+    torque, warnings = made(CONSTANT_NM_A, rest_nm=0.3)
+    assert torque.mean(action(torque=drag, current=drag)) == pytest.approx(0.1)
+    assert not warnings
+
+
+def test_without_a_torque_sensor_the_torque_is_that_of_the_current():
+    torque, _ = made(CONSTANT_NM_A)
+    assert torque.mean(action(current=drag)) == pytest.approx(CONSTANT_NM_A * 0.4)
+
+
+def test_neither_sensor_nor_current_is_no_torque():
+    torque, warnings = made(CONSTANT_NM_A, is_needed=True)
+    assert torque.mean(action()) is None
+    assert not warnings
+
+
+@pytest.mark.parametrize(("is_needed", "lines"), [(True, 1), (False, 0)])
+def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(is_needed, lines):
+    torque, warnings = made(is_needed=is_needed)
+    for _ in range(3):
+        assert torque.mean(action(current=drag)) is None
+    assert len(warnings) == lines
+    assert all("drive.torque_constant_nm_a" in line for line in warnings)
+
+
+def test_a_sensor_that_measures_torque_needs_no_torque_constant():
+    torque, warnings = made(is_needed=True)
+    assert torque.mean(action(torque=drag, current=drag)) == pytest.approx(0.4)
+    assert not warnings
+
+
+@pytest.mark.parametrize("value", [0.0, 0.7, math.nan, math.inf])
+def test_a_channel_that_is_frozen_or_not_finite_is_no_torque_in_that_action_only(value):
+    torque, _ = made(rest_nm=0.3)
+    assert torque.mean(action(torque=lambda velocity: value)) is None
+    assert torque.mean(action(torque=drag)) == pytest.approx(0.1)
+    current, _ = made(CONSTANT_NM_A)
+    assert current.mean(action(current=lambda velocity: value)) is None
+    assert current.mean(action(current=drag)) == pytest.approx(CONSTANT_NM_A * 0.4)
+
+
+def test_a_current_that_is_missing_for_a_tick_is_no_torque():
+    torque, _ = made(CONSTANT_NM_A)
+    samples = action(current=drag)
+    samples[5] = samples[5]._replace(current=None)
+    assert torque.mean(samples) is None
+
+
+def test_a_constant_torque_at_rest_is_a_torque():
+    torque, _ = made(rest_nm=0.3)
+    held = action(torque=lambda velocity: 0.5, swing_rad=0.01)
+    assert torque.mean(held) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("channel", "setting"), [("torque", "sensor.frame"), ("current", "the driver")]
+)
+def test_a_torque_of_the_wrong_sign_is_told_once_and_no_longer_used(channel, setting):
+    torque, warnings = made(CONSTANT_NM_A)
+    judged = math.ceil(JUDGED_S * RATE_HZ / ACTION_TICKS)
+    wrong = [torque.mean(action(**{channel: lambda velocity: -drag(velocity)})) for _ in range(200)]
+    assert None not in wrong[: judged - 1]
+    assert set(wrong[judged - 1 :]) == {None}
+    assert torque.mean(action(**{channel: drag})) is None
+    (line,) = warnings
+    assert setting in line
+    assert "\n" not in line
+
+
+def test_a_torque_of_the_right_sign_is_used_for_good():
+    torque, warnings = made()
+    assert None not in [torque.mean(action(torque=drag)) for _ in range(300)]
+    assert not warnings
+
+
+def test_time_at_rest_does_not_count():
+    """Noise alone has no sign."""
+    torque, warnings = made(rest_nm=0.3)
+    still = action(torque=lambda velocity: 0.3 - velocity, swing_rad=0.01)
+    assert None not in [torque.mean(still) for _ in range(300)]
+    assert not warnings
