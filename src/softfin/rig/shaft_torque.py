@@ -13,7 +13,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, torque_constant
 from softfin.rig.session import Session, Warn
 
-MOVED_RAD = 0.1
+STROKE_RAD = 0.1
 """Motion of the shaft within an action during which the torque must change [rad]."""
 
 JUDGED_S = 60.0
@@ -56,13 +56,15 @@ class ShaftTorque:
         """Return the mean torque over the samples of an action [N m], positive towards positive
         angles; None if the torque is not measured, not finite, constant while the shaft moves, or
         has the wrong sign."""
-        source, torques = self._measure(samples)
-        angles = [sample.angle for sample in samples]
-        is_moving = max(angles) - min(angles) > MOVED_RAD
-        is_frozen = is_moving and len(set(torques)) == 1
-        if not torques or is_frozen or not all(map(math.isfinite, torques)):
+        if self._is_reversed:
             return None
-        if is_moving and not self._is_reversed:
+        source, torques = self._measure(samples)
+        if not torques or not all(map(math.isfinite, torques)):
+            return None
+        angles = [sample.angle for sample in samples]
+        if max(angles) - min(angles) > STROKE_RAD:
+            if min(torques) == max(torques):
+                return None
             self._judge(source, torques, samples)
         return None if self._is_reversed else sum(torques) / len(torques)
 
@@ -74,19 +76,23 @@ class ShaftTorque:
         if any(at_rest) or any(torques):
             zero = sum(at_rest) / max(len(at_rest), 1)
             return "force sensor", [torque - zero for torque in torques]
+        return "motor current", self._convert(samples)
+
+    def _convert(self, samples: Sequence[Sample]) -> list[float]:
+        """Return the torque of the motor current at each sample [N m]; empty if it is unknown."""
         currents = [sample.current for sample in samples if sample.current is not None]
-        constant_nm_a = torque_constant(self._session.machine)
-        if constant_nm_a is None:
-            if self._is_needed and currents:
-                self._is_needed = False
-                self._warn(
-                    "torque feedback: the motor current is not used because the torque constant is "
-                    "unknown; set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
-                )
-            return "motor current", []
         if len(currents) < len(samples):
-            return "motor current", []
-        return "motor current", [constant_nm_a * current for current in currents]
+            return []
+        constant_nm_a = torque_constant(self._session.machine)
+        if constant_nm_a is not None:
+            return [constant_nm_a * current for current in currents]
+        if self._is_needed:
+            self._is_needed = False
+            self._warn(
+                "torque feedback: the motor current is not used because the torque constant is "
+                "unknown; set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
+            )
+        return []
 
     def _judge(self, source: Source, torques: list[float], samples: Sequence[Sample]) -> None:
         """Check the sign of the torque."""
