@@ -8,7 +8,7 @@ from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.simulate import CHUNK_ROWS
 from softfin.tank import Tank
-from softfin.tank.drive import TORQUE_CONSTANT_NM_A
+from softfin.tank.drive import AMPERE_PER_NM
 from tests.plants import AnalyticFin, PlainFin
 
 ROWS = CHUNK_ROWS + 501
@@ -187,7 +187,7 @@ def test_the_tank_records_torque_and_current_on_request(tmp_path):
     # The current also accelerates the rotor: without that part it is the torque.
     acceleration = np.gradient(velocity) / TICK_S
     rotor = float(tank.drive.inertia) * acceleration
-    current = (torque + rotor) / TORQUE_CONSTANT_NM_A
+    current = AMPERE_PER_NM * (torque + rotor)
     assert np.corrcoef(current, log.channels["current_a"])[0, 1] > 0.9
     assert np.abs(log.channels["current_a"]).max() < 2.5
 

@@ -38,6 +38,27 @@ def test_the_controller_sees_forces_without_what_the_sensor_read_at_rest():
         assert force == pytest.approx((plain[0] - 0.3, plain[1] + 0.2))
 
 
+def test_the_controller_sees_the_mean_torques_since_its_last_action():
+    made = Made()
+    made.machine.torque_constant_nm_a = 2.5
+
+    def loaded(sample):
+        wrench = (*sample.wrench[:5], 0.4 + 0.1 * sample.angle)
+        return sample._replace(current=0.1 + 0.5 * sample.angle, wrench=wrench)
+
+    made.machine.altered = loaded
+    controller = Wagging()
+    with made.session as session:
+        session.activate()
+        zero = session.rest(0.5)
+        acted = list(run_controller(session, controller, lambda at: (1.0, -1.0), 6, zero))
+    assert controller.torques[0] == (None, None)
+    for torques, before in zip(controller.torques[1:], acted, strict=False):
+        angle = sum(sample.angle for sample in before.samples) / len(before.samples)
+        # The torque of the sensor is without its value at rest.
+        assert torques == pytest.approx((0.1 * angle, 2.5 * (0.1 + 0.5 * angle)))
+
+
 def test_references_are_asked_for_at_the_time_of_each_action():
     controller = Wagging()
     held(controller, references=lambda at: (at, 0.0))

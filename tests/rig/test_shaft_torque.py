@@ -42,84 +42,92 @@ def made(constant_nm_a=None, rest_nm=0.0, is_needed=False):
 
 
 def test_the_torque_of_the_sensor_is_relative_to_its_value_at_rest():
-    torque, warnings = made(CONSTANT_NM_A, rest_nm=0.3)
-    assert torque.mean(action(torque=drag, current=drag)) == pytest.approx(0.1)
+    torques, warnings = made(rest_nm=0.3)
+    assert torques.means(action(torque=drag)) == (pytest.approx(0.1), None)
     assert not warnings
 
 
-def test_without_a_torque_sensor_the_torque_is_that_of_the_current():
-    torque, _ = made(CONSTANT_NM_A)
-    assert torque.mean(action(current=drag)) == pytest.approx(CONSTANT_NM_A * 0.4)
+def test_the_torque_of_the_motor_is_that_of_its_current():
+    torques, warnings = made(CONSTANT_NM_A)
+    assert torques.means(action(current=drag)) == (None, pytest.approx(CONSTANT_NM_A * 0.4))
+    assert not warnings
+
+
+def test_both_are_measured_independently():
+    torques, _ = made(CONSTANT_NM_A)
+    both = torques.means(action(torque=drag, current=lambda velocity: 2 * drag(velocity)))
+    assert both == pytest.approx((0.4, CONSTANT_NM_A * 0.8))
 
 
 def test_neither_sensor_nor_current_is_no_torque():
-    torque, warnings = made(CONSTANT_NM_A, is_needed=True)
-    assert torque.mean(action()) is None
+    torques, warnings = made(CONSTANT_NM_A, is_needed=True)
+    assert torques.means(action()) == (None, None)
     assert not warnings
 
 
 @pytest.mark.parametrize(("is_needed", "lines"), [(True, 1), (False, 0)])
 def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(is_needed, lines):
-    torque, warnings = made(is_needed=is_needed)
+    torques, warnings = made(is_needed=is_needed)
     for _ in range(3):
-        assert torque.mean(action(current=drag)) is None
+        assert torques.means(action(current=drag)) == (None, None)
     assert len(warnings) == lines
     assert all("drive.torque_constant_nm_a" in line for line in warnings)
 
 
-def test_a_sensor_that_measures_torque_needs_no_torque_constant():
-    torque, warnings = made(is_needed=True)
-    assert torque.mean(action(torque=drag, current=drag)) == pytest.approx(0.4)
-    assert not warnings
-
-
 @pytest.mark.parametrize("value", [0.0, 0.7, math.nan, math.inf])
 def test_a_channel_that_is_frozen_or_not_finite_is_no_torque_in_that_action_only(value):
-    torque, _ = made(rest_nm=0.3)
-    assert torque.mean(action(torque=lambda velocity: value)) is None
-    assert torque.mean(action(torque=drag)) == pytest.approx(0.1)
-    current, _ = made(CONSTANT_NM_A)
-    assert current.mean(action(current=lambda velocity: value)) is None
-    assert current.mean(action(current=drag)) == pytest.approx(CONSTANT_NM_A * 0.4)
+    torques, _ = made(CONSTANT_NM_A, rest_nm=0.3)
+
+    def stuck(velocity):
+        return value
+
+    assert torques.means(action(torque=stuck, current=drag)) == (None, pytest.approx(1.0))
+    assert torques.means(action(torque=drag, current=stuck)) == (pytest.approx(0.1), None)
+    assert None not in torques.means(action(torque=drag, current=drag))
 
 
 def test_a_current_that_is_missing_for_a_tick_is_no_torque():
-    torque, _ = made(CONSTANT_NM_A)
+    torques, _ = made(CONSTANT_NM_A)
     samples = action(current=drag)
     samples[5] = samples[5]._replace(current=None)
-    assert torque.mean(samples) is None
+    assert torques.means(samples) == (None, None)
 
 
 def test_a_constant_torque_at_rest_is_a_torque():
-    torque, _ = made(rest_nm=0.3)
+    torques, _ = made(rest_nm=0.3)
     held = action(torque=lambda velocity: 0.5, swing_rad=0.01)
-    assert torque.mean(held) == pytest.approx(0.2)
+    assert torques.means(held)[0] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
     ("channel", "setting"), [("torque", "sensor.frame"), ("current", "the driver")]
 )
 def test_a_torque_of_the_wrong_sign_is_told_once_and_no_longer_used(channel, setting):
-    torque, warnings = made(CONSTANT_NM_A)
+    torques, warnings = made(CONSTANT_NM_A)
     judged = math.ceil(JUDGED_S * RATE_HZ / ACTION_TICKS)
-    wrong = [torque.mean(action(**{channel: lambda velocity: -drag(velocity)})) for _ in range(200)]
-    assert None not in wrong[: judged - 1]
-    assert set(wrong[judged - 1 :]) == {None}
-    assert torque.mean(action(**{channel: drag})) is None
+    signals = {"torque": drag, "current": drag}
+    wrong = signals | {channel: lambda velocity: -drag(velocity)}
+    index = list(signals).index(channel)
+    means = [torques.means(action(**wrong)) for _ in range(200)]
+    assert None not in [each[index] for each in means[: judged - 1]]
+    assert {each[index] for each in means[judged - 1 :]} == {None}
+    assert torques.means(action(**signals))[index] is None
+    # The other one stays.
+    assert None not in [each[1 - index] for each in means]
     (line,) = warnings
     assert setting in line
     assert "\n" not in line
 
 
 def test_a_torque_of_the_right_sign_is_used_for_good():
-    torque, warnings = made()
-    assert None not in [torque.mean(action(torque=drag)) for _ in range(300)]
+    torques, warnings = made(CONSTANT_NM_A)
+    assert all(None not in torques.means(action(drag, drag)) for _ in range(300))
     assert not warnings
 
 
 def test_time_at_rest_does_not_count():
     """Noise alone has no sign."""
-    torque, warnings = made(rest_nm=0.3)
+    torques, warnings = made(rest_nm=0.3)
     still = action(torque=lambda velocity: 0.3 - velocity, swing_rad=0.01)
-    assert None not in [torque.mean(still) for _ in range(300)]
+    assert None not in [torques.means(still)[0] for _ in range(300)]
     assert not warnings

@@ -19,6 +19,9 @@ from softfin.core.quantities import TICK_S, Command
 from softfin.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
 
+SAMPLE_VALUES = 7
+"""Number of values of a sample: see `_tick`."""
+
 
 class TankFin:
     """A virtual tank that implements the `EmulatedFin` protocol."""
@@ -47,7 +50,9 @@ class TankFin:
         with self._lock:
             plain = self._plain()
             now, tree = jax.tree.flatten((plain, self._before, self._after))
-            held = (*remembered["state"], remembered["before"], remembered["after"])
+            # States of earlier versions lack the torque about the shaft.
+            samples = [[*remembered[name], 0.0][:SAMPLE_VALUES] for name in ("before", "after")]
+            held = (*remembered["state"], *samples)
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
                 raise ValueError("state of a different tank")

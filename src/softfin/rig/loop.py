@@ -48,19 +48,19 @@ def run_controller(
     at rest.
 
     `zero` [N], measured by `Session.rest`, is subtracted from the forces passed to the controller.
-    `shaft_torque` measures the torque (default: without warnings).
+    `shaft_torque` measures the torques (default: without warnings).
     """
     shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
     durations = controller_clock(controller).ticks
     state = controller.init()
     angle = (session.newest or session.tick()).angle
     force = (0.0, 0.0)
-    torque = None
+    torques: tuple[float | None, float | None] = (None, None)
     ticks = 0
     for index in count() if actions is None else range(actions):
         try:
             reference = references(ticks / RATE_HZ)
-            state, command = controller.act(state, Measured(angle, force), reference)
+            state, command = controller.act(state, Measured(angle, force, *torques), reference)
             target = Target(float(command.angle), float(command.velocity))
         except Exception as error:
             session.abort(Trip("controller", in_one_line(error, "the controller failed")))
@@ -70,7 +70,7 @@ def run_controller(
         angle = samples[-1].angle
         x, y = mean_force(samples)
         force = (x - zero[0], y - zero[1])
-        torque = shaft_torque.mean(samples)
+        torques = shaft_torque.means(samples)
         yield ActionResult(reference, target, samples)
 
 

@@ -116,13 +116,6 @@ def machine_clock(machine: object) -> Clock:
     return clock
 
 
-def torque_constant(machine: object) -> float | None:
-    """Return the torque at the output shaft per ampere of motor current [N m/A]: the optional
-    attribute `torque_constant_nm_a` of a machine."""
-    constant_nm_a: float | None = getattr(machine, "torque_constant_nm_a", None)
-    return constant_nm_a
-
-
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from the sensor axes to softfin's axes; `frame` contains the sensor axes
     along +x and +y, e.g. ``y,-x``.

@@ -31,6 +31,9 @@ TORQUE_CONSTANT_NM_A = 111 * 0.0259
 """Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a
 torque constant of 25.9 mN m/A of the motor."""
 
+AMPERE_PER_NM = 1 / TORQUE_CONSTANT_NM_A
+"""Its inverse [A/(N m)]."""
+
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.

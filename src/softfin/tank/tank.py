@@ -18,7 +18,7 @@ from softfin.core.plant import check_commands, check_key
 from softfin.core.quantities import TICK_S, Command, Limits, Reading
 from softfin.core.window import PAPER_WINDOW
 from softfin.tank.chain import PlanarVector, Scalar
-from softfin.tank.drive import LIMIT_FIELDS, TORQUE_CONSTANT_NM_A, Drive, DriveConfig, DriveState
+from softfin.tank.drive import AMPERE_PER_NM, LIMIT_FIELDS, Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
@@ -138,7 +138,7 @@ class Tank(eqx.Module):
             reading,
             {
                 LOAD_CHANNELS[-1]: torque,
-                CURRENT_CHANNEL: (torque + rotor) / TORQUE_CONSTANT_NM_A,
+                CURRENT_CHANNEL: AMPERE_PER_NM * (torque + rotor),
             },
         )
 
