@@ -11,20 +11,26 @@ from tests.rig.machines import FreeFin
 
 ACTION_TICKS = 33
 DRAG_NM_S = 0.2
+POWER_W = DRAG_NM_S / 2
+"""Mean power of the drag: the mean square of the velocity is 1/2."""
 CONSTANT_NM_A = 2.5
 
 
-def action(torque=None, current=None, swing_rad=1.0):
+def action(torque=None, current=None, swing_rad=1.0, index=0, delay_ticks=0):
     """The samples of one stroke back and forth; torque and current are functions of the velocity,
     and not measured by default."""
     samples = []
-    for tick in range(ACTION_TICKS):
+    for tick in range(index * ACTION_TICKS, (index + 1) * ACTION_TICKS):
         phase = 2 * math.pi * tick / ACTION_TICKS
         velocity = swing_rad * math.cos(phase)
-        wrench = (1.0, 0.5, 0.0, 0.0, 0.0, 0.0 if torque is None else torque(velocity))
+        delayed = swing_rad * math.cos(phase - 2 * math.pi * delay_ticks / ACTION_TICKS)
+        wrench = (1.0, 0.5, 0.0, 0.0, 0.0, 0.0 if torque is None else torque(delayed))
         amperes = None if current is None else current(velocity)
         angle = swing_rad * math.sin(phase)
-        samples.append(Sample(0.0, angle, velocity, amperes, None, 0.0, wrench, ()))
+        force_time = (tick - delay_ticks) / RATE_HZ
+        samples.append(
+            Sample(tick / RATE_HZ, angle, velocity, amperes, None, force_time, wrench, ())
+        )
     return samples
 
 
@@ -43,20 +49,30 @@ def made(constant_nm_a=None, rest_nm=0.0, is_needed=False):
 
 def test_the_torque_of_the_sensor_is_relative_to_its_value_at_rest():
     torques, warnings = made(rest_nm=0.3)
-    assert torques.means(action(torque=drag)) == (pytest.approx(0.1), None)
+    assert torques.means(action(torque=drag)) == (pytest.approx((0.1, POWER_W)), None)
     assert not warnings
 
 
 def test_the_torque_of_the_motor_is_that_of_its_current():
     torques, warnings = made(CONSTANT_NM_A)
-    assert torques.means(action(current=drag)) == (None, pytest.approx(CONSTANT_NM_A * 0.4))
+    shaft, motor = torques.means(action(current=drag))
+    assert shaft is None
+    assert motor == pytest.approx((CONSTANT_NM_A * 0.4, CONSTANT_NM_A * POWER_W))
     assert not warnings
 
 
 def test_both_are_measured_independently():
     torques, _ = made(CONSTANT_NM_A)
-    both = torques.means(action(torque=drag, current=lambda velocity: 2 * drag(velocity)))
-    assert both == pytest.approx((0.4, CONSTANT_NM_A * 0.8))
+    shaft, motor = torques.means(action(torque=drag, current=lambda velocity: 2 * drag(velocity)))
+    assert (shaft[0], motor[0]) == pytest.approx((0.4, CONSTANT_NM_A * 0.8))
+
+
+@pytest.mark.parametrize("delay_ticks", [0, 4])
+def test_the_power_is_that_of_torque_and_velocity_at_the_same_time(delay_ticks):
+    torques, _ = made()
+    for index in range(3):
+        shaft, _ = torques.means(action(torque=drag, index=index, delay_ticks=delay_ticks))
+    assert shaft == pytest.approx((0.4, POWER_W))
 
 
 def test_neither_sensor_nor_current_is_no_torque():
@@ -81,8 +97,12 @@ def test_a_channel_that_is_frozen_or_not_finite_is_no_torque_in_that_action_only
     def stuck(velocity):
         return value
 
-    assert torques.means(action(torque=stuck, current=drag)) == (None, pytest.approx(1.0))
-    assert torques.means(action(torque=drag, current=stuck)) == (pytest.approx(0.1), None)
+    shaft, motor = torques.means(action(torque=stuck, current=drag))
+    assert shaft is None
+    assert motor is not None
+    shaft, motor = torques.means(action(torque=drag, current=stuck))
+    assert shaft is not None
+    assert motor is None
     assert None not in torques.means(action(torque=drag, current=drag))
 
 
@@ -96,7 +116,7 @@ def test_a_current_that_is_missing_for_a_tick_is_no_torque():
 def test_a_constant_torque_at_rest_is_a_torque():
     torques, _ = made(rest_nm=0.3)
     held = action(torque=lambda velocity: 0.5, swing_rad=0.01)
-    assert torques.means(held)[0] == pytest.approx(0.2)
+    assert torques.means(held)[0][0] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(

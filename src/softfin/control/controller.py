@@ -34,12 +34,12 @@ class Measured(NamedTuple):
     """Latest reading of the shaft angle [rad]; 0 before the first reading."""
     force: Array
     """Mean force (x, y) since the last action [N]; 0 before the first action."""
-    torque: Array | None = None
-    """Mean torque on the fin about the shaft since the last action [N m], positive with the
-    velocity if the drive delivers power; None if not measured."""
-    motor_torque: Array | None = None
-    """Mean torque of the motor at the fin's side of the gearbox since the last action [N m],
-    computed from its current; None if not measured."""
+    shaft: Array | None = None
+    """Mean torque on the fin about the shaft [N m] and mean power that it receives [W] since the
+    last action; positive if the drive delivers power. None if not measured."""
+    motor: Array | None = None
+    """Mean torque [N m] and mean power [W] of the motor at the fin's side of the gearbox since the
+    last action, computed from its current; None if not measured."""
 
 
 @runtime_checkable

@@ -17,7 +17,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
-from softfin.rig.shaft_torque import ShaftTorque
+from softfin.rig.shaft_torque import Drive, ShaftTorque
 
 ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
 """Function that returns the reference [N] at a time since the start [s]; called once per action."""
@@ -55,7 +55,7 @@ def run_controller(
     state = controller.init()
     angle = (session.newest or session.tick()).angle
     force = (0.0, 0.0)
-    torques: tuple[float | None, float | None] = (None, None)
+    torques: tuple[Drive | None, Drive | None] = (None, None)
     ticks = 0
     for index in count() if actions is None else range(actions):
         try:

@@ -1,4 +1,4 @@
-"""The mean torques about the shaft during each action of a controller. No I/O.
+"""The mean torques about the shaft and their power during each action of a controller. No I/O.
 
 The torque on the fin is the torque of the force sensor minus its value at rest. The torque of the
 motor is its current times `drive.torque_constant_nm_a`; it also accelerates the rotor, which the
@@ -7,6 +7,10 @@ sensor does not see because it is under the motor. Both are positive towards pos
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
 
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample
@@ -18,6 +22,11 @@ STROKE_RAD = 0.1
 JUDGED_S = 60.0
 """Time in motion after which the mean power of a torque must be positive [s], because a fin takes
 up power."""
+
+_Series: TypeAlias = Float[np.ndarray, " samples"]
+
+Drive: TypeAlias = tuple[float, float]
+"""Mean torque [N m] and mean power [W]; positive if the drive delivers power."""
 
 
 class ShaftTorque:
@@ -31,6 +40,8 @@ class ShaftTorque:
         self._session = session
         self._warn = warn
         self._is_needed = is_needed
+        self._motion = np.empty((2, 0))
+        """Times [s] and velocities [rad/s] of the previous action."""
         self._sensed = _Torque(
             "the torque of the force sensor",
             "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
@@ -44,41 +55,43 @@ class ShaftTorque:
             warn,
         )
 
-    def means(self, samples: Sequence[Sample]) -> tuple[float | None, float | None]:
-        """Return the mean torque on the fin and of the motor over the samples of an action [N m];
-        None if it is not measured, not finite, constant while the shaft moves, or has the wrong
+    def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
+        """Return torque and power on the fin and of the motor over the samples of an action; None
+        if the torque is not measured, not finite, constant while the shaft moves, or has the wrong
         sign."""
+        rows = [
+            (each.time, each.angle, each.velocity, each.force_time, each.wrench[-1], each.current)
+            for each in samples
+        ]
+        # NaN if the current is not measured.
+        time, angle, velocity, force_time, torque, current = np.array(rows, float).T
+        motion = np.hstack([self._motion, [time, velocity]])
+        self._motion = motion[:, -len(samples) :]
+        at_rest = [sample.wrench[-1] for sample in self._session.at_rest]
+        # Sensors report zero for loads that they do not measure.
+        if not any(at_rest) and not torque.any():
+            torque[:] = math.nan
+        torque -= np.mean(at_rest or [0.0])
+        is_moving = bool(np.ptp(angle) > STROKE_RAD)
         return (
-            self._sensed.mean(self._from_sensor(samples), samples),
-            self._motor.mean(self._from_current(samples), samples),
+            # The force is older than the velocity.
+            self._sensed.mean(torque, np.interp(force_time, *motion), is_moving),
+            self._motor.mean(self._constant(current) * current, velocity, is_moving),
         )
 
-    def _from_sensor(self, samples: Sequence[Sample]) -> list[float]:
-        """Return the torque on the fin at each sample [N m]; empty if it is not measured."""
-        at_rest = [sample.wrench[-1] for sample in self._session.at_rest]
-        torques = [sample.wrench[-1] for sample in samples]
-        # Sensors report zero for loads that they do not measure.
-        if not any(at_rest) and not any(torques):
-            return []
-        zero = sum(at_rest) / max(len(at_rest), 1)
-        return [torque - zero for torque in torques]
-
-    def _from_current(self, samples: Sequence[Sample]) -> list[float]:
-        """Return the torque of the motor at each sample [N m]; empty if it is unknown."""
-        currents = [sample.current for sample in samples if sample.current is not None]
-        if len(currents) < len(samples):
-            return []
+    def _constant(self, current: _Series) -> float:
+        """Return the torque constant [N m/A]; NaN if it is unknown."""
         # Only a rig has a configured drive.
         constant_nm_a = getattr(self._session.machine, "torque_constant_nm_a", None)
         if constant_nm_a is not None:
-            return [constant_nm_a * current for current in currents]
-        if self._is_needed:
+            return float(constant_nm_a)
+        if self._is_needed and np.isfinite(current).any():
             self._is_needed = False
             self._warn(
                 "the motor current: not used for feedback because its torque constant is unknown; "
                 "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
             )
-        return []
+        return math.nan
 
 
 class _Torque:
@@ -94,23 +107,21 @@ class _Torque:
         self._power_w = 0.0
         """Sum of the power at these ticks [W]."""
 
-    def mean(self, torques: Sequence[float], samples: Sequence[Sample]) -> float | None:
-        """Return the mean of the torques of an action [N m], or None if they are unusable."""
-        if self._is_reversed or not torques or not all(map(math.isfinite, torques)):
+    def mean(self, torque: _Series, velocity: _Series, is_moving: bool) -> Drive | None:
+        """Return the mean torque and power over the samples of an action; None if the torque is
+        unusable."""
+        is_frozen = is_moving and np.ptp(torque) == 0
+        if self._is_reversed or is_frozen or not np.isfinite(torque).all():
             return None
-        angles = [sample.angle for sample in samples]
-        if max(angles) - min(angles) > STROKE_RAD:
-            if min(torques) == max(torques):
-                return None
-            self._judge(torques, samples)
-        return None if self._is_reversed else sum(torques) / len(torques)
+        power_w = torque * velocity
+        if is_moving:
+            self._judge(power_w)
+        return None if self._is_reversed else (float(torque.mean()), float(power_w.mean()))
 
-    def _judge(self, torques: Sequence[float], samples: Sequence[Sample]) -> None:
+    def _judge(self, power_w: _Series) -> None:
         """Check the sign of the torque."""
-        self._ticks += len(samples)
-        self._power_w += sum(
-            torque * sample.velocity for torque, sample in zip(torques, samples, strict=True)
-        )
+        self._ticks += len(power_w)
+        self._power_w += power_w.sum()
         mean_w = self._power_w / self._ticks
         if self._ticks >= JUDGED_S * RATE_HZ and mean_w < 0:
             self._is_reversed = True
