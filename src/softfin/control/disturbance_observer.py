@@ -243,7 +243,7 @@ class DisturbanceObserver:
         self, state: DisturbanceObserverState, measured: Measured, reference: Array
     ) -> tuple[DisturbanceObserverState, Command]:
         """Run the inner controller on the reference minus the estimated bias."""
-        ops = select_operations(*measured, reference, state.bias)
+        ops = select_operations(measured.angle, measured.force, reference, state.bias)
         xp = ops.xp
         force = xp.asarray(measured.force)
         reference = xp.asarray(reference)

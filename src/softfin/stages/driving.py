@@ -40,6 +40,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session, mean_force
+from softfin.rig.shaft_torque import ShaftTorque
 from softfin.rig.stop import StopRequest
 from softfin.stages.machines import find_robot
 from softfin.storage import artifact as artifacts
@@ -148,7 +149,8 @@ class Drive(NamedTuple):
         ticks = printed = 0
         clock = controller.clock
         actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
-        for result in run_controller(session, controller, references, actions, zero):
+        torque = ShaftTorque(session, say, self.trim)
+        for result in run_controller(session, controller, references, actions, zero, torque):
             window = [*window, result][-clock.window_actions :]
             x, y = mean_force([sample for each in window for sample in each.samples])
             x = x - zero[0]

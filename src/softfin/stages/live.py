@@ -39,6 +39,7 @@ from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import MeasuredForce, Session, Warn
+from softfin.rig.shaft_torque import ShaftTorque
 from softfin.rig.stop import StopRequest
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
@@ -184,7 +185,8 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            target = LiveFin(session, acting, robot, progress)
+            torque = ShaftTorque(session, warn, config.trim is not None)
+            target = LiveFin(session, acting, robot, progress, torque)
             metadata = {"plant": str(target), "randomization": None}
             return evaluate_controllers(
                 [controller], target, config, out, metadata, overwrite=overwrite
@@ -195,7 +197,12 @@ class LiveFin:
     """A real fin and its controller, as a `RealTime` target of an evaluation."""
 
     def __init__(
-        self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress
+        self,
+        session: Session,
+        controller: Controller,
+        robot: RobotSetup,
+        progress: Progress,
+        shaft_torque: ShaftTorque,
     ) -> None:
         self.limits = Limits(*robot.machine.limits)
         self._session = session
@@ -203,6 +210,7 @@ class LiveFin:
         self._controller = controller
         self._robot = robot
         self._progress = progress
+        self._shaft_torque = shaft_torque
 
     def __str__(self) -> str:
         return self._robot.machine.name
@@ -242,6 +250,7 @@ class LiveFin:
                 reference,
                 self._clock.actions_within(seconds * RATE_HZ),
                 zero,
+                self._shaft_torque,
             )
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
