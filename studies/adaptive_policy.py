@@ -30,6 +30,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from softfin.control.controller import Controller, Measured, controller_clock
+from softfin.control.family import load_family
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.policy import PolicyMemory
 from softfin.control.pytrees import register_controllers
 from softfin.control.store import load_controller
@@ -543,16 +545,31 @@ def row(name: str, scored: Sequence[Errors]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def print_table(run: Path, keys: Key[Array, "fins"]) -> None:
-    """Score the controllers of the example and all trained policies."""
+def known_controllers(gaits: Path) -> dict[str, Controller]:
+    """Return the controllers to compare with, by name: without feedback, and, if the folder of the
+    gaits contains a family, with feedback from different measurements."""
+    loaded = load_controller(gaits)
+    controllers: dict[str, Controller] = {
+        "gaits": loaded,
+        "single policy": load_controller(EXAMPLE / "single"),
+    }
+    family = load_family(gaits, loaded)
+    if family is not None:
+        for uses in ("force", "torque", "both"):
+            config = FeedbackConfig(uses=uses)
+            controllers[f"gaits, feedback from {uses}"] = Feedback(loaded, config, family)
+    return controllers
+
+
+def print_table(run: Path, keys: Key[Array, "fins"], gaits: Path) -> None:
+    """Score the known controllers and all trained policies."""
     windows = [f"rms {start} to {start + 2} s [N]" for start in WINDOW_STARTS_S]
     titles = ["controller", "seeds", *windows]
     titles += ["SD over seeds [N]", "mean over fins [N]", "SD over fins [N]"]
     titles += [f"{reference} N" for reference in TEST_REFERENCES] + ["SD of angle [rad]"]
     print("| " + " | ".join(titles) + " |\n|" + " --- |" * len(titles))
-    for name in ("gaits", "single"):
-        scored = [errors(load_controller(EXAMPLE / name), keys)]
-        print(row(f"{name} of the example", scored), flush=True)
+    for name, controller in known_controllers(gaits).items():
+        print(row(name, [errors(controller, keys)]), flush=True)
     runs = [load_policies(file.parent) for file in run.glob("*/policies.eqx")]
     for actions, variants in sorted(runs, key=lambda run: run[0]):
         for variant, policies in variants.items():
@@ -574,6 +591,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--fins", type=int, default=100)
+    parser.add_argument("--gaits", type=Path, default=EXAMPLE / "gaits", help="to compare with")
     options = parser.parse_args(words)
     if options.step == "information":
         print_information()
@@ -581,7 +599,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if options.run is None:
         parser.error(f"{options.step}: RUN is missing; name the folder of the policies")
     if options.step == "score":
-        print_table(options.run, held_out_keys(options.fins))
+        print_table(options.run, held_out_keys(options.fins), options.gaits)
         return
     folder = options.run / f"{options.actions}"
     folder.mkdir(parents=True, exist_ok=True)
