@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
+import softfin
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.family import load_family
 from softfin.control.feedback import Feedback, FeedbackConfig
@@ -107,7 +108,7 @@ VARIANTS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 """Senses that each variant observes (1) or that are 0 instead: torque, following error, and the
 parameters of the fin."""
 
-EXAMPLE = Path("src/softfin/example")
+EXAMPLE = Path(softfin.__file__).parent / "example"
 """Controllers to compare with, trained for the default fin."""
 
 Parameters = Float[Array, "parameters"]
