@@ -400,10 +400,15 @@ def print_information(num_training: int = 200, num_test: int = 100) -> None:
         print(f"| {reference} N | {before} | {after} |")
 
 
-def training_config(actions: int, num_envs: int = SINGLE.ppo.num_envs) -> TrainConfig:
+def training_config(
+    actions: int,
+    num_envs: int = SINGLE.ppo.num_envs,
+    learning_rate: float = SINGLE.ppo.learning_rate,
+) -> TrainConfig:
     """Return softfin's configuration for a single policy, with the senses."""
     task = AdaptiveTaskConfig.model_validate(SINGLE.task.model_dump())
-    ppo = SINGLE.ppo.model_copy(update={"num_envs": num_envs})
+    changed = {"num_envs": num_envs, "learning_rate": learning_rate}
+    ppo = SINGLE.ppo.model_copy(update=changed)
     return SINGLE.model_copy(update={"steps": actions, "task": task, "ppo": ppo})
 
 
@@ -589,6 +594,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("run", type=Path, nargs="?", help="folder of all policies")
     parser.add_argument("--actions", type=int, default=100_000, help="per policy")
     parser.add_argument("--envs", type=int, default=SINGLE.ppo.num_envs, help="per policy")
+    parser.add_argument("--learning-rate", type=float, default=SINGLE.ppo.learning_rate)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--fins", type=int, default=100)
@@ -604,7 +610,7 @@ def main(words: Sequence[str] | None = None) -> None:
         return
     folder = options.run / f"{options.actions}"
     folder.mkdir(parents=True, exist_ok=True)
-    config = training_config(options.actions, options.envs)
+    config = training_config(options.actions, options.envs, options.learning_rate)
     train(config, options.variants, options.seeds, folder)
 
 
