@@ -110,7 +110,7 @@ class _Torque:
     def mean(self, torque: _Series, velocity: _Series, is_moving: bool) -> Drive | None:
         """Return the mean torque and power over the samples of an action; None if the torque is
         unusable."""
-        is_frozen = is_moving and np.ptp(torque) == 0
+        is_frozen = is_moving and torque.min() == torque.max()
         if self._is_reversed or is_frozen or not np.isfinite(torque).all():
             return None
         power_w = torque * velocity
