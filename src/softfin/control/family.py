@@ -10,20 +10,24 @@ Everything is tabulated over a lattice of references. At each node, a table hold
 nominal fin and its derivative with respect to each coefficient.
 """
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from softfin.control.controller import LoadedController
 from softfin.core.errors import ArtifactError
 from softfin.core.operations import Array, Operations
 from softfin.core.quantities import AnyArray
 from softfin.storage import artifact as artifacts
 
-FAMILY_FILE = "family.safetensors"
-"""Name of the file in a controller's folder."""
+FAMILY_KIND = "family"
+"""Kind of the folder, and its name within the folder of the controller."""
+
+MIN_FINS = 20
+"""Minimum number of fins in a family."""
 
 FEATURES = (
     "force_x",
@@ -100,3 +104,45 @@ class Family(NamedTuple):
             upper = (1 - along_y) * values[x + 1, y, *own] + along_y * values[x + 1, y + 1, *own]
             blended.append((1 - along_x) * lower + along_x * upper)
         return blended
+
+
+def save_family(
+    path: Path, controller: LoadedController, family: Family, keys: Mapping[str, object]
+) -> None:
+    """Write a family into the folder of its controller, where it replaces an older one."""
+    description = {"controller_sha256": controller.artifact.weights_sha256, **keys}
+    # Half precision is a hundredth of the noise of the features.
+    arrays = {name: np.asarray(part, np.float16) for name, part in family._asdict().items()}
+    artifacts.save(path / FAMILY_KIND, FAMILY_KIND, description, arrays, overwrite=True)
+
+
+def load_family(path: Path, controller: LoadedController) -> Family | None:
+    """Read the family from the folder of its controller; None if there is none.
+
+    Raises ArtifactError if the family is damaged, or of another controller.
+    """
+    folder = path / FAMILY_KIND
+    if not folder.exists():
+        return None
+    again = f"run softfin family {path}"
+    description, arrays = artifacts.load(folder, FAMILY_KIND)
+    if description.get("controller_sha256") != controller.artifact.weights_sha256:
+        raise ArtifactError(f"{folder}: family of a controller with other weights; {again}")
+    fins = description.get("configuration", {}).get("fins", 0)
+    if fins < MIN_FINS:
+        raise ArtifactError(
+            f"{folder}: made from {fins} fins, but needs at least {MIN_FINS}; {again}"
+        )
+    try:
+        family = Family(**{name: np.asarray(part, np.float32) for name, part in arrays.items()})
+        actions = controller.clock.window_actions
+        expected = (family.nominal.shape[:2], actions, len(FEATURES))
+        found = (family.nominal_noise.shape[:2], *family.nominal.shape[2:])
+        coefficients = family.features.shape[3]
+        if expected != found or coefficients != family.coefficients:
+            raise ValueError(f"arrays of shape {found}, must be {expected}")
+        if not all(np.isfinite(part).all() for part in family):
+            raise ValueError("contains numbers that are not finite")
+    except (TypeError, ValueError, IndexError) as error:
+        raise ArtifactError(f"{folder}: damaged ({error}); {again}") from None
+    return family

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Key
 from pydantic import Field
 
 from softfin.control.controller import LoadedController, Measured
-from softfin.control.family import Family
+from softfin.control.family import MIN_FINS, Family
 from softfin.control.pytrees import register_controllers
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -24,9 +24,6 @@ from softfin.core.randomness import named_key
 from softfin.gaits.reachable import Reachable
 from softfin.tank.randomization import DomainRandomization, sample_tank
 from softfin.tank.tank import Tank, TankState
-
-MIN_FINS = 20
-"""Minimum number of fins in a family."""
 
 STEADY_WINDOWS = 3
 """Number of windows from rest, the last of which is tabulated."""
