@@ -1,5 +1,5 @@
-"""Feedback around any controller: estimate what has become of the fin and of the sensor, and correct
-the reference for the fin only.
+"""Feedback around any controller: estimate what has become of the fin and of the sensor, and
+correct the reference for the fin only.
 
 A softer fin, colder water or a slower servo changes the mean force at every reference; a drifting
 sensor changes the reading only. A Kalman filter estimates both, and nuisances, from one window of
@@ -129,10 +129,10 @@ class FeedbackForces(NamedTuple):
 class Estimate(NamedTuple):
     """What the feedback has found."""
 
-    bias: Array
-    """Force error of the controller at the corrected reference (x, y) [N]."""
+    force: Array
+    """True mean force at the corrected reference (x, y) [N]."""
     half_width: Array
-    """Half-width of the 90% interval of the true mean force about the reference (x, y) [N]."""
+    """Half-width of its 90% interval (x, y) [N]."""
     drift: Array
     """Drift of the sensor since it was zeroed (x, y) [N]."""
     level: Number
@@ -263,9 +263,7 @@ class Feedback:
         )
         tracked = reference + state.tracked[-1] - state.references[-1]
         for _ in range(FIXED_POINT_STEPS):
-            tracked = self._trackable(
-                ops, reference, reference - self._bias(ops, mean, tracked)
-            )
+            tracked = self._trackable(ops, reference, reference - self._bias(ops, mean, tracked))
         inner, command = self.controller.act(
             state.inner, measured, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
@@ -294,7 +292,7 @@ class Feedback:
         coefficients = self.coefficients
         drift = math.sqrt(2) * self.config.drift_n
         return Estimate(
-            rows @ state.mean,
+            tracked + rows @ state.mean,
             HALF_90 * xp.sqrt(variance),
             drift * state.mean[coefficients + 6 : coefficients + 8],
             state.level,
@@ -326,7 +324,8 @@ class Feedback:
     def _update(
         self, ops: Operations, state: FeedbackState, seen: Array
     ) -> tuple[Array, Array, Array, Number]:
-        """Return the mean, the covariance, the reference and the level after the window that has just ended."""
+        """Return the mean, the covariance, the reference and the level after the window that has
+        just ended."""
         xp = ops.xp
         config = self.config
         assert self.newtons is not None
@@ -436,9 +435,7 @@ class Feedback:
             ],
             axis=1,
         )
-        force_rows = xp.concatenate(
-            [mean_change[FORCES], affine, drift, np.zeros((2, 2))], axis=1
-        )
+        force_rows = xp.concatenate([mean_change[FORCES], affine, drift, np.zeros((2, 2))], axis=1)
         rows = xp.concatenate([force_rows, pattern_rows])
         white = WHITE_NOISE * xp.concatenate([np.ones(LOADS.start), spread[LOADS]])
         variance = (

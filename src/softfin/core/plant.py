@@ -195,16 +195,14 @@ def hold_action_with_hidden(
     plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
 ) -> tuple[State, tuple[Reading, Hidden]]:
     """Hold a command like `hold_action`; also return what the plant knows besides its readings."""
-    has_force = isinstance(plant, TrueForcePlant)
-    has_torque = isinstance(plant, TorquePlant)
-    if not has_force and not has_torque:
+    if not isinstance(plant, TrueForcePlant | TorquePlant):
         state, reading = hold_action(plant, state, command, ticks, rows)
         return state, (reading, Hidden(None, None))
 
     def tick(state: State) -> tuple[State, tuple[Reading, Hidden]]:
         state, reading = _tick(plant, state, command)
-        force = plant.true_force(state) if has_force else None
-        torque = plant.torque(state) if has_torque else None
+        force = plant.true_force(state) if isinstance(plant, TrueForcePlant) else None
+        torque = plant.torque(state) if isinstance(plant, TorquePlant) else None
         return state, (reading, Hidden(force, torque))
 
     return repeat(tick, state, ticks, rows)

@@ -188,7 +188,7 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     return recording.first() if (force == force[:, :1]).all() else recording
 
 
-Torque: TypeAlias = Float[Array, "rows 2"] | None
+Torque: TypeAlias = Float[AnyArray, "rows 2"] | None
 """Mean torque on the fin and of the motor in each tick [N m]; None if the plant does not compute
 it."""
 
@@ -244,15 +244,15 @@ def closed_loop(
     # The first action is computed before the first reading, as if the fin were at rest.
     state = plant.init(key)
     shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
-    rest = _measured(*jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes[:2]), 1)
+    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    rest = _measured(reading, torque, 1)
     rest = rest._replace(angle=jnp.float32(plant.limits.rest_angle))
     carry = (controller.init(), state, rest)
     _, (kept, estimates) = jax.lax.scan(
         action, carry, (references, jnp.asarray(clock.action_ticks(actions)))
     )
-    return LoopRecording(
-        *jax.tree.map(lambda x: drop_padding(x, actions, clock), kept), estimate=estimates
-    )
+    command, reading, output = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
+    return LoopRecording(command, reading, output, estimates)
 
 
 def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
@@ -263,6 +263,7 @@ def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
     force = masked_mean(jnp.asarray(reading.force), ticks)
     if torque is None:
         return Measured(angle, force)
+    torque = jnp.asarray(torque)
     loads = jnp.stack([torque, torque * jnp.asarray(reading.velocity)[:, None]], axis=1)
     shaft, motor = masked_mean(loads, ticks).T
     return Measured(angle, force, shaft, motor)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.control.controller import LoadedController, Measured
@@ -19,7 +19,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.operations import NUMPY
 from softfin.core.plant import masked_mean, repeat
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import Command
+from softfin.core.quantities import AnyArray, Command
 from softfin.core.randomness import named_key
 from softfin.gaits.reachable import Reachable
 from softfin.tank.randomization import DomainRandomization, sample_tank
@@ -29,7 +29,11 @@ STEADY_WINDOWS = 3
 """Number of windows from rest, the last of which is tabulated."""
 
 OUTSIDE_WEIGHT = 0.3
-"""Weight in the components of nodes that were moved to the edge of the reach, relative to others."""
+"""Weight in the components of nodes outside the reach, which were moved to its edge, relative to
+others."""
+
+BATCH = 128
+"""Number of references that are run at once."""
 
 HELD_OUT = 4
 """One of this many fins is kept out of the components, to measure what they do not explain."""
@@ -64,10 +68,10 @@ class FamilyConfig(Configuration):
 class _Steady(NamedTuple):
     """What a controller does on one fin after some windows, at each reference."""
 
-    force: Float[Array, "references 2"]
+    force: Float[AnyArray, "*references 2"]
     """True mean force over the window [N]."""
-    features: Float[Array, "references actions features"]
-    friction: Float[Array, "references actions 2"]
+    features: Float[AnyArray, "*references actions features"]
+    friction: Float[AnyArray, "*references actions 2"]
 
 
 class _Seen(NamedTuple):
@@ -106,14 +110,15 @@ def find_family(
 
     def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
         inside = np.asarray(reachable.project(references), np.float32)
-        return jax.tree.map(np.asarray, _steady(controller, fin, inside))
+        found: _Steady = _steady(controller, fin, jnp.asarray(inside))
+        return _Steady(*map(np.asarray, found))
 
     fine = run(tank, lattice(config.nominal_nodes))
     coarse = lattice(config.nodes)
     between = _references_between(coarse, reachable)
     nominal = [run(tank, coarse), run(tank, between)]
-    known = []
-    held_out = []
+    known: list[list[_Steady]] = []
+    held_out: list[list[_Steady]] = []
     for index in range(config.fins):
         fin = sample_tank(tank, named_key(config.seed, f"family/{index}"), config.widths)
         places = [coarse, between] if index % HELD_OUT == 0 else [coarse]
@@ -127,7 +132,7 @@ def find_family(
     weights = np.where(moved > 0.1 * reachable.reach_n, OUTSIDE_WEIGHT, 1.0)
     components = _components([changes[0] for changes in known], weights, config.coefficients)
     shape = (config.nominal_nodes, config.nominal_nodes)
-    features = fine.features.reshape(*shape, *fine.features.shape[1:])
+    features = np.reshape(fine.features, (*shape, *fine.features.shape[1:]))
     coarse_shape = (config.nodes, config.nodes)
     family = Family(
         low=np.asarray(box.low, np.float32),
@@ -167,7 +172,7 @@ def _roughness(table: Float[np.ndarray, "x y actions features"]) -> np.ndarray:
     for axis in (0, 1):
         padded = np.pad(table, [(1, 1) if axis == each else (0, 0) for each in range(4)], "edge")
         bends.append(np.diff(padded, 2, axis=axis))
-    return 0.5 * np.sqrt((bends[0] ** 2 + bends[1] ** 2).mean(axis=2))
+    return np.asarray(0.5 * np.sqrt((bends[0] ** 2 + bends[1] ** 2).mean(axis=2)))
 
 
 class _Components(NamedTuple):
@@ -276,7 +281,9 @@ def _steady(
             kept = masked_mean(seen.force, ticks), features, masked_mean(turns, ticks)
             return (memory, state, measured), kept
 
-        rest = Measured(jnp.float32(tank.limits.rest_angle), jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
+        rest = Measured(
+            jnp.float32(tank.limits.rest_angle), jnp.zeros(2), jnp.zeros(2), jnp.zeros(2)
+        )
         carry = (controller.init(), exact.init(jax.random.key(0)), rest)
         _, (true, features, friction) = jax.lax.scan(action, carry, jnp.asarray(durations))
         last = slice(-clock.window_actions, None)
@@ -284,5 +291,5 @@ def _steady(
         mean = (held[:, None] * true[last]).sum(axis=0) / clock.window_ticks
         return _Steady(mean, features[last], friction[last])
 
-    batch = 128
-    return jax.lax.map(one, references, batch_size=batch)
+    steady: _Steady = jax.lax.map(one, references, batch_size=BATCH)
+    return steady

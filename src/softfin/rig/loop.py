@@ -12,6 +12,7 @@ from itertools import count
 from typing import TypeAlias
 
 from softfin.control.controller import Controller, Measured, controller_clock
+from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
@@ -34,6 +35,8 @@ class ActionResult:
     reference: MeasuredForce
     target: Target
     samples: list[Sample]
+    estimate: Estimate | None = None
+    """What feedback has found; None without feedback."""
 
 
 def run_controller(
@@ -71,7 +74,8 @@ def run_controller(
         x, y = mean_force(samples)
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
-        yield ActionResult(reference, target, samples)
+        found = controller.estimate(state) if isinstance(controller, Feedback) else None
+        yield ActionResult(reference, target, samples, found)
 
 
 class LiveReference:

@@ -20,7 +20,7 @@ class RobotSetup:
     """Name of this fin; None if unknown."""
     settle_s: float = 5.0
     """Rest time before each log or experiment [s]."""
-    feedback: FeedbackConfig = FeedbackConfig()
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
     """Settings of feedback on this fin."""
     configuration: JsonObject = field(default_factory=dict)
     """Complete configuration for JSON."""

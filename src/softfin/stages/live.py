@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller, controller_clock
-from softfin.control.disturbance_observer import DisturbanceObserver
-from softfin.control.store import load_controller
+from softfin.control.store import load_controller, load_feedback
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, VOLTAGE_CHANNEL
@@ -178,14 +177,14 @@ def evaluate_live(
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
-    acting: Controller = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
+    acting = load_feedback(controller, loaded, robot.feedback_settings(config.feedback))
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = find_bags(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop, warn=warn) as session:
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            torque = ShaftTorque(session, warn, config.trim is not None)
+            torque = ShaftTorque(session, warn, config.feedback is not None)
             target = LiveFin(session, acting, robot, progress, torque)
             metadata = {"plant": str(target), "randomization": None}
             return evaluate_controllers(

@@ -30,9 +30,7 @@ def find_robot(name: str) -> RobotSetup:
     if kind == "rig":
         rig = load_rig(path)
         values = rig.model_dump(mode="json")
-        return RobotSetup(
-            find_rig(rig), rig.safety, rig.fin, rig.settle_s, rig.feedback, values
-        )
+        return RobotSetup(find_rig(rig), rig.safety, rig.fin, rig.settle_s, rig.feedback, values)
     if kind == "ros2":
         from softfin.rig.ros2.plant import Ros2Machine
 

@@ -55,8 +55,8 @@ class TankState(NamedTuple):
     force: PlanarVector
     """True mean force (x, y) on the mount over the last tick [N]."""
     torque: Float[Array, "2"]
-    """Mean torque over the last tick [N m]: on the fin about the shaft, and of the motor, which also
-    accelerates the rotor. Positive with the velocity if the drive delivers power."""
+    """Mean torque over the last tick [N m]: on the fin about the shaft, and of the motor, which
+    also accelerates the rotor. Positive with the velocity if the drive delivers power."""
     key: PRNGKeyArray
     """Key for the sensor noise."""
 
