@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array, Float
-
-from softfin.control.controller import Controller, Measured
 from softfin.control.disturbance_observer import DisturbanceObserver as Observer
 from softfin.control.disturbance_observer import DisturbanceObserverConfig as Config
 from softfin.control.disturbance_observer import ObserverForces
+
+from softfin.control.controller import Controller, Measured
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
