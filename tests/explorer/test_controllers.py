@@ -27,7 +27,7 @@ output = [false, true].map((trimmed) => {
   const controller = new Controller(input.controller);
   controller.trim(trimmed, 0);
   return input.episode.map(([angle, force, reference]) => {
-    const command = controller.act(angle, force, reference);
+    const command = controller.act({ angle, force }, reference);
     return [command.angle, command.velocity];
   });
 });

@@ -302,14 +302,15 @@ def test_the_keyboard_alone_does_everything(opened):
     np.testing.assert_allclose(asked(opened), (1.6, 0.5))
     for key, changed in (
         ("t", "!chosen.trim"),
-        ("w", "chosen.cold"),
         ("c", "chosen.controller === 1"),
     ):
         assert not opened.run(changed)
         opened.press(key, ord(key.upper()))
         assert opened.run(changed)
-    opened.press("f", 70)
-    assert opened.run("[chosen.fin, loop.plants[0].stiffness]") == ["1.4", 1.4]
+    opened.run("element('stiffness').focus()")
+    opened.press("ArrowRight", right)
+    assert opened.run("[chosen.stiffness, loop.plants[0].stiffness, loop.time]") == [101, 1.01, 0]
+    np.testing.assert_allclose(asked(opened), (1.6, 0.5))
     opened.press("p", 80)
     assert opened.run("loop.plants[0].flow.stream") == [0, 0.6]
     before = opened.run("loop.time")
@@ -331,8 +332,8 @@ def test_the_keyboard_alone_does_everything(opened):
         "plant",
         "speed",
         "trim",
-        "fin",
-        "cold",
+        "stiffness",
+        "drag",
         "push",
         "plane",
         "x",
@@ -361,7 +362,7 @@ def test_a_link_holds_the_state(opened):
     ]
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     assert opened.run("loop.controller.observer === null")
-    assert opened.run("['cold', 'push', 'fin'].every((name) => element(name).disabled)")
+    assert opened.run("['push', 'stiffness', 'drag'].every((name) => element(name).disabled)")
     assert opened.run("element('link').getAttribute('href')") == address(opened)
     opened.run("location.hash = '#controller=none&plant=tank&reference=what,1&speed=7'")
     opened.frames(2)
@@ -372,18 +373,13 @@ def test_a_link_holds_the_state(opened):
     )
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     # Copied there and opened here, it says what is as it was at first, too.
-    opened.run("choose({ speed: '1', fin: '1', cold: false, trim: true, plant: 0 })")
+    opened.run("choose({ speed: '1', stiffness: 100, trim: true, plant: 0 })")
     usual = address(opened)
-    opened.run("choose({ speed: '0.25', fin: '1.4', cold: true, trim: false })")
+    opened.run("choose({ speed: '0.25', stiffness: 70, trim: false })")
     assert address(opened) != usual
     opened.run(f"location.hash = '{usual}'")
     opened.frames(2)
-    assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == [
-        "1",
-        "1",
-        False,
-        True,
-    ]
+    assert opened.run("[chosen.speed, chosen.stiffness, chosen.trim]") == ["1", 100, True]
 
 
 def test_a_restart_clears_the_figures(opened):
@@ -428,6 +424,32 @@ def test_controllers_and_plants_are_switched_in_place(opened):
     opened.run("run(100); draw()")
     assert opened.run("loop.time") == 600
     assert opened.run("element('predicted-x').textContent === element('mean-x').textContent")
+
+
+def test_sliders_change_the_fin_while_it_beats_and_a_restart_makes_it_new(opened):
+    opened.run("run(250)")
+    slide(opened, "stiffness", 70)
+    slide(opened, "drag", 130)
+    assert opened.run("[loop.time, loop.plants[0].stiffness, loop.plants[0].drag]") == [
+        250,
+        0.7,
+        1.3,
+    ]
+    assert opened.run("[element('stiffness-value').textContent, watched.what]") == [
+        "70",
+        "the change",
+    ]
+    held = address(opened)
+    assert "stiffness=70&drag=130" in held
+    opened.run("element('restart').click()")
+    assert opened.run("[loop.time, loop.plants[0].stiffness, loop.plants[0].drag]") == [0, 1, 1]
+    assert "stiffness=100&drag=100" in address(opened)
+    opened.run(f"location.hash = '{held}'")
+    opened.frames(2)
+    assert opened.run("[loop.plants[0].stiffness, loop.plants[0].drag]") == [0.7, 1.3]
+    opened.run("location.hash = '#stiffness=20&drag=what'")
+    opened.frames(2)
+    assert opened.run("[chosen.stiffness, chosen.drag]") == [50, 130]
 
 
 SHOWN = """

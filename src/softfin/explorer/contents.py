@@ -26,14 +26,11 @@ from softfin.core.quantities import AnyArray, Limits
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate.protocol import ExplorableSurrogate
 from softfin.surrogate.training import name_net_arrays
-from softfin.tank import Tank, with_parameters
+from softfin.tank import Tank
 from softfin.tank.drive import DEAD_TICKS
 
 HAND_STROKE_RAD = 0.5
 """Initial amplitude of a stroke by the user's hand [rad]; the stroke produces forward thrust."""
-
-COLD_C = 5.0
-"""Water temperature of the cold-water option on the page [degrees Celsius]."""
 
 
 def encode_arrays(array: AnyArray) -> JsonObject:
@@ -71,14 +68,12 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
 
 def tank_data(tank: Tank) -> JsonObject:
     """Return the data of a virtual tank, without the sensor noise, drift and resolution."""
-    cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
         "kind": "tank",
         "steps_per_tick": tank.steps_per_tick,
         "drive": {**_numbers(tank.drive), "dead_ticks": DEAD_TICKS},
         "fin": _numbers(tank.fin),
         "water": _numbers(tank.water),
-        "cold_water": _numbers(cold),
         "sensor": _numbers(tank.sensor),
         "rest_rad": tank.limits.rest_angle,
     }

@@ -199,8 +199,9 @@ class Controller {
     this.observer = wanted ? new DisturbanceObserver(this.description.trim, this.cells, this.reachable, action % ACTION_TICKS.length) : null;
   }
 
-  /* The command for a reference [N], from the angle [rad] and the mean force since the last action [N]. */
-  act(angle, force, reference) {
+  /* The command for a reference [N], from the angle [rad], and the mean force [N] and torque of the shaft [N m] since
+   * the last action. */
+  act({ angle, force }, reference) {
     const { limits } = this;
     this.tracked = this.observer === null ? reference : this.observer.correct(force, reference);
     this.added = this.tracked.map((value, axis) => value - reference[axis]);

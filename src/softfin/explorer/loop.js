@@ -49,7 +49,7 @@ class Loop {
 
   /* Let another controller act from now on, as from rest, at the start of the clock. */
   change(controller) {
-    Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
+    Object.assign(this, { controller, action: 0, left: 0, sum: { force: [0, 0], torque: 0 }, command: { angle: 0, velocity: 1 } });
   }
 
   /* The target force; a hand has none, and a canvas does not draw what is not a number. */
@@ -60,8 +60,9 @@ class Loop {
   tick() {
     if (this.left === 0) {
       const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
-      this.command = this.controller.act(reading ? reading.angle : this.controller.description.rest_rad, this.sum.map((value) => value / ticks), this.reference);
-      [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], [0, 0]];
+      const measured = { angle: reading ? reading.angle : this.controller.description.rest_rad, force: this.sum.force.map((value) => value / ticks), torque: this.sum.torque / ticks };
+      this.command = this.controller.act(measured, this.reference);
+      [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], { force: [0, 0], torque: 0 }];
       this.action++;
     }
     for (const [name, plant] of Object.entries(this.plants)) {
@@ -73,7 +74,8 @@ class Loop {
     this.left--;
     this.time++;
     const reading = this.readings[this.plant], force = reading.force;
-    this.sum = this.sum.map((value, axis) => value + force[axis]);
+    // Only a tank has a torque.
+    this.sum = { force: this.sum.force.map((value, axis) => value + force[axis]), torque: this.sum.torque + (reading.torque ?? NaN) };
     const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;
     this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.mean(), reference: this.target(), shape });
     if (this.history.length > KEPT) this.history.splice(0, this.history.length - KEPT);
