@@ -46,8 +46,8 @@ def as_doubles(tree: Any) -> Any:
 def roll_tank(
     tank: Tank, commands: Command, double: bool, factors: np.ndarray | None = None
 ) -> np.ndarray:
-    """Angle, velocity, force and torque of the shaft after each command, with factors of stiffness
-    and drag during each ``(ticks, 2)``."""
+    """Angle, velocity, force, and torque on the fin and of the motor after each command, with
+    factors of stiffness and drag during each ``(ticks, 2)``."""
     if factors is None:
         factors = np.ones((len(commands.angle), 2), np.float32)
 
@@ -55,10 +55,9 @@ def roll_tank(
         def tick(state: Any, given: Any) -> Any:
             command, (stiffness, drag) = given
             changed = with_parameters(tank, stiffness=stiffness, drag=drag)
-            state, reading, load = changed.tick(state, command)
+            state, reading, _ = changed.tick(state, command)
             motion = jnp.stack([reading.angle, reading.velocity])
-            # The sign is that of Tank.measure.
-            return state, jnp.concatenate([motion, reading.force, -load.torque[None]])
+            return state, jnp.concatenate([motion, reading.force, state.torque])
 
         return jax.lax.scan(tick, state, (commands, factors))[1]
 

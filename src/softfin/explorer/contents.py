@@ -11,10 +11,8 @@ import equinox as eqx
 import numpy as np
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import (
-    DisturbanceObserver,
-    DisturbanceObserverConfig,
-)
+from softfin.control.family import Family
+from softfin.control.feedback import Feedback
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -33,14 +31,15 @@ HAND_STROKE_RAD = 0.5
 """Initial amplitude of a stroke by the user's hand [rad]; the stroke produces forward thrust."""
 
 
-def encode_arrays(array: AnyArray) -> JsonObject:
-    """Return an array's shape, and its values in single precision as base64."""
-    values = np.asarray(array, np.float32)
-    return {
-        "shape": list(values.shape),
-        # Little-endian on every machine, as expected by the page script.
-        "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
-    }
+SINGLE_PRECISION = "<f4"
+"""Little-endian on every machine, as expected by the page script."""
+HALF_PRECISION = "<f2"
+
+
+def encode_arrays(array: AnyArray, precision: str = SINGLE_PRECISION) -> JsonObject:
+    """Return an array's shape, and its values in single or half precision as base64."""
+    values = np.asarray(array, precision)
+    return {"shape": list(values.shape), "data": base64.b64encode(values.tobytes()).decode()}
 
 
 def is_shown(plant: Plant) -> bool:
@@ -95,13 +94,13 @@ def surrogate_data(surrogate: ExplorableSurrogate) -> JsonObject:
     return {"kind": "surrogate", **entries, "arrays": encoded}
 
 
-def controller_data(controller: LoadedController) -> JsonObject:
-    """Return the data of a controller of any kind, and the configuration of its optional force
+def controller_data(controller: LoadedController, family: Family | None = None) -> JsonObject:
+    """Return the data of a controller of any kind, and the configuration of its optional
     feedback."""
     step = controller.step
     reachable = controller.reachable
-    observer = DisturbanceObserver(controller, DisturbanceObserverConfig())
-    assert observer.newtons is not None
+    feedback = Feedback(controller, family=family)
+    assert feedback.newtons is not None
     data: JsonObject = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
@@ -110,10 +109,13 @@ def controller_data(controller: LoadedController) -> JsonObject:
         "reachable": None if reachable is None else reachable.to_dict(),
         "clock": controller.clock.model_dump(mode="json"),
         "size": 1.0 if reachable is None else reachable.size,
-        "trim": {
-            **observer.config.model_dump(mode="json"),
-            **observer.newtons._asdict(),
-            "settle_actions": observer.settle_actions,
+        "feedback": {
+            "config": {
+                **feedback.config.model_dump(mode="json"),
+                **feedback.newtons._asdict(),
+                "reach_n": feedback.reach_n,
+            },
+            "family": None if family is None else _family(family),
         },
     }
     if isinstance(step, GaitStep):
@@ -161,6 +163,11 @@ def _table(table: GaitTable) -> JsonObject:
     low = np.asarray(table.low, float)
     high = np.asarray(table.high, float)
     return {"low": low.tolist(), "high": high.tolist(), "actions": encode_arrays(table.actions)}
+
+
+def _family(family: Family) -> JsonObject:
+    # Families are stored in half precision.
+    return {name: encode_arrays(table, HALF_PRECISION) for name, table in family._asdict().items()}
 
 
 def _numbers(module: eqx.Module) -> JsonObject:

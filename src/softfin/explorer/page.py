@@ -13,7 +13,17 @@ from softfin.core.canvas import with_canvas
 from softfin.core.quantities import TICK_S
 from softfin.storage import artifact as artifacts
 
-SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "hand", "loop")
+SIMULATION = (
+    "numbers",
+    "profile",
+    "surrogate",
+    "tank",
+    "region",
+    "feedback",
+    "controllers",
+    "hand",
+    "loop",
+)
 """Scripts for computation, in order; they do not need a page."""
 
 DRAWN = ("drawing", "page")

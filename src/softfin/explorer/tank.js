@@ -315,16 +315,17 @@ class Tank {
     this.flow.stream = [...velocity];
   }
 
-  /* Hold a command for a tick; returns {angle, velocity, force, torque}, with the shaft's torque on the fin. */
+  /* Hold a command for a tick; returns {angle, velocity, force, torque, motorTorque}, with the torque on the fin about the shaft
+   * and that of the motor, positive with the velocity where the drive delivers power. */
   tick(command) {
     const steps = this.description.steps_per_tick, seconds = TICK_S / steps, { drive, fin, water, flow, filtered } = this;
     const drags = water.drags(flow, this.drag), stream = flow.stream, shaftRate = drive.rate;
     const obeyed = drive.receive(command), before = fin.momentum(water, stream), loads = [0, 0];
-    let torque = 0;
+    let motorTorque = 0;
     for (let k = 0; k < steps; k++) {
       drive.plan(obeyed, seconds);
       const { rate, force } = fin.step(drive, water, stream, drags, this.stiffness, seconds);
-      torque += drive.follow(rate, seconds) / steps;
+      motorTorque += drive.follow(rate, seconds) / steps;
       force.forEach((value, axis) => { loads[axis] += value / steps; });
     }
     const after = fin.momentum(water, stream), { filter_time, misalignment, range } = this.description.sensor;
@@ -335,7 +336,7 @@ class Tank {
     const [x, y] = this.filtered, cos = Math.cos(misalignment), sin = Math.sin(misalignment), most = range > 0 ? range : Infinity;
     water.stir(flow, fin.relative(stream), loads);
     // What accelerates the rotor does not reach the fin.
-    torque -= (drive.inertia * (drive.rate - shaftRate)) / TICK_S;
-    return { ...drive.read(), torque, force: [clip(cos * x + sin * y, -most, most), clip(cos * y - sin * x, -most, most)] };
+    const torque = motorTorque - (drive.inertia * (drive.rate - shaftRate)) / TICK_S;
+    return { ...drive.read(), torque, motorTorque, force: [clip(cos * x + sin * y, -most, most), clip(cos * y - sin * x, -most, most)] };
   }
 }
