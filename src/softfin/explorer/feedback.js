@@ -1,10 +1,11 @@
 /* Feedback (softfin.control.feedback): a Kalman filter estimates what has become of the fin and of its sensor, and the
  * reference is corrected for the fin only. In order, its state holds the coefficients of the family, the six affine
- * parameters of the rest of the error, the drift, and the friction and torque constant of the drive. */
+ * parameters of the rest of the error, what is left at the present reference (x, y), the drift (x, y), and the friction
+ * and torque constant of the drive. */
 
 /* Features of an action: force (x, y), angle, and torque and power, first of the fin, then of the motor. */
-const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6;
-const FIXED_POINT_STEPS = 2, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 3, UNFAMILIAR = 6, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
+const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6, PLACE = 2;
+const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, UNFAMILIAR = 6, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
 const WHITE_NOISE = [0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01];
 /* Whether feedback may use a feature. */
 const USABLE = { force: (feature) => feature < LOADS, torque: (feature) => feature > FORCES[1], both: () => true };
@@ -42,12 +43,14 @@ class Feedback {
     Object.assign(this, { config, reachable, uses, begun, age: begun, level: 1, used: null });
     this.family = family === null ? null : new Family(family);
     this.coefficients = this.family === null ? 0 : this.family.coefficients;
-    this.size = this.coefficients + AFFINE + 4;
-    this.drifts = [this.coefficients + AFFINE, this.coefficients + AFFINE + 1];
+    this.size = this.coefficients + AFFINE + PLACE + 4;
+    this.places = [this.coefficients + AFFINE, this.coefficients + AFFINE + 1];
+    this.drifts = this.places.map((place) => place + PLACE);
     this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
     this.mean = new Float64Array(this.size);
     // The sensor has just been zeroed.
-    this.covariance = Array.from(this.mean, (_, i) => each(this.size, (j) => Number(i === j && !this.drifts.includes(i))));
+    const variances = this.mean.map((_, i) => (i < this.coefficients ? STARTS ** 2 : Number(!this.drifts.includes(i))));
+    this.covariance = Array.from(variances, (variance, i) => each(this.size, (j) => (i === j ? variance : 0)));
     // Oldest first.
     this.seen = Array.from({ length: WINDOW_ACTIONS }, () => Array(FEATURES).fill(NaN));
     this.tracked = Array.from({ length: WINDOW_ACTIONS + 1 }, () => [0, 0]);
@@ -71,10 +74,10 @@ class Feedback {
 
   /* The true mean force at the corrected reference, the half-width of its 90% interval, and what the family explains. */
   estimate() {
-    const tracked = this.tracked.at(-1), rows = this.biasRows(tracked);
+    const tracked = this.tracked.at(-1), near = this.near(tracked), rows = this.biasRows(tracked, near);
     const half = rows.map((row, axis) => {
       const spread = this.family === null ? 0 : this.family.force_noise.values[axis];
-      return HALF_90 * Math.sqrt(dot(row, this.covariance.map((other) => dot(other, row))) + spread ** 2 + this.config.rest_n ** 2);
+      return HALF_90 * Math.sqrt(dot(row, this.covariance.map((other) => dot(other, row))) + spread ** 2 + (1 - near ** 2) * this.config.rest_n ** 2);
     });
     return { mean: rows.map((row, axis) => tracked[axis] + dot(row, this.mean)), half, level: this.level };
   }
@@ -85,45 +88,59 @@ class Feedback {
     return [[bias, 0, slope * x, slope * y, 0, 0], [0, bias, 0, 0, slope * x, slope * y]];
   }
 
+  /* Correlation of the force errors at a reference and at that of the last window. */
+  near(reference) {
+    return this.used === null ? 0 : Math.exp(-distanceTo(reference, this.used) / (NEAR * this.config.reach_n));
+  }
+
   /* Derivatives of the force error (x, y) [N] by the state. */
-  biasRows(reference) {
+  biasRows(reference, near) {
     const force = this.family === null ? [] : this.family.at(this.family.force, reference), affine = this.affine(reference);
-    return FORCES.map((axis) => Float64Array.from([...force.filter((_, k) => k % 2 === axis), ...affine[axis], 0, 0, 0, 0]));
+    return FORCES.map((axis) => {
+      const row = Float64Array.from([...force.filter((_, k) => k % 2 === axis), ...affine[axis], 0, 0, 0, 0, 0, 0]);
+      row[this.places[axis]] = near * this.config.rest_n;
+      return row;
+    });
   }
 
   bias(reference) {
     const { limit_n } = this.config;
-    return this.biasRows(reference).map((row) => clip(dot(row, this.mean), -limit_n, limit_n));
+    return this.biasRows(reference, this.near(reference)).map((row) => clip(dot(row, this.mean), -limit_n, limit_n));
   }
 
   /* One step of the Kalman filter, with the window that has just ended. */
   update() {
-    const { config, size, coefficients } = this, seconds = WINDOW * TICK_S, kept = new Float64Array(size).fill(1), added = new Float64Array(size);
+    const { config, size, coefficients } = this, seconds = WINDOW * TICK_S, centre = this.centre(), moved = this.moved();
+    const kept = new Float64Array(size).fill(1), added = new Float64Array(size), near = this.near(centre);
     const keptDrift = Math.exp(-seconds / (2 * config.drift_s));
-    added.fill(seconds / config.change_s, 0, coefficients);
+    // Without a family, a changing fin can only show in the constant error.
+    added.fill(seconds / config.change_s, 0, coefficients || 2);
     for (const i of this.drifts) [kept[i], added[i]] = [keptDrift, 1 - keptDrift ** 2];
+    for (const i of this.places) [kept[i], added[i]] = [near, 1 - near ** 2];
     const mean = this.mean.map((value, i) => kept[i] * value);
     let covariance = this.covariance.map((row, i) => row.map((value, j) => value * kept[i] * kept[j] + (i === j ? added[i] : 0)));
-    const moved = this.moved(), { rows, errors, weights } = this.measurements(mean, moved);
-    const measured = weights.filter((weight) => weight > 0).length, patterns = weights.slice(2).filter((weight) => weight > 0).length;
-    const lowered = (level) => weights.map((weight, i) => (i < 2 ? weight : weight / level));
-    const opened = (count) => covariance.map((row, i) => row.map((value, j) => value + (i === j && i < count ? 1 : 0)));
-    let found = corrected(covariance, rows, errors, lowered(this.level));
-    const sudden = found.innovation / Math.max(measured, 1) > SUDDEN;
+    const { rows, errors, has, variance, unexplained } = this.measurements(mean, moved), patterns = (values) => values.slice(FORCES.length);
+    const sum = (values) => values.reduce((total, value) => total + Number(value), 0), count = Math.max(sum(has), 1), counted = sum(patterns(has));
+    // What the state does not explain at a reference is the same in every window there.
+    const distance = this.used === null ? Infinity : distanceTo(centre, this.used) / config.reach_n;
+    let repeated = REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
+    const weights = (times, level) => has.map((valid, i) => Number(valid) / ((variance[i] + times * unexplained[i]) * (i < FORCES.length ? 1 : level)));
+    const opened = (last) => covariance.map((row, i) => row.map((value, j) => value + Number(i === j && i < last)));
+    const sudden = corrected(covariance, rows, errors, weights(repeated, this.level)).innovation > count + SUDDEN * Math.sqrt(2 * count);
     if (sudden) {
+      repeated = 1;
       covariance = opened(coefficients);
-      found = corrected(covariance, rows, errors, lowered(this.level));
     }
-    const left = errors.map((error, i) => error - dot(rows[i], found.change));
-    const unexplained = left.reduce((sum, value, i) => sum + (i < 2 ? 0 : weights[i] * value ** 2), 0) / Math.max(patterns, 1);
+    const { change } = corrected(covariance, rows, errors, weights(repeated, 1)), plain = weights(1, 1);
+    const squares = errors.map((error, i) => plain[i] * (error - dot(rows[i], change)) ** 2);
+    const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1);
     // Where no coefficients explain the pattern, the mean force decides.
-    const strange = Math.max(unexplained, 1);
-    if (sudden && unexplained > UNFAMILIAR) covariance = opened(coefficients + AFFINE);
-    found = corrected(covariance, rows, errors, lowered(strange));
+    if (sudden && (level > UNFAMILIAR || coefficients === 0)) covariance = opened(coefficients + AFFINE + PLACE);
+    const found = corrected(covariance, rows, errors, weights(repeated, level));
     this.mean = mean.map((value, i) => value + found.change[i]);
     this.covariance = found.covariance.map((row, i) => row.map((value, j) => (value + found.covariance[j][i]) / 2));
-    if (patterns > 0) this.level = (this.level + strange) / 2;
-    if (measured > 0 && moved < NEW_REFERENCE * config.reach_n) this.used = this.centre();
+    if (counted > 0) this.level = (this.level + level) / 2;
+    if (sum(has) > 0 && moved < NEW_REFERENCE * config.reach_n) this.used = centre;
   }
 
   /* Mean of the corrected references over the last window. */
@@ -137,20 +154,17 @@ class Feedback {
     return Math.max(...steps(this.references), ...steps(this.tracked.slice(1)));
   }
 
-  /* Measurements of the last window: derivatives by the state, differences from the prediction, and weights. */
+  /* Measurements of the last window: derivatives by the state, differences from the prediction, whether each is there
+   * and may be used, and its variance: that which differs from window to window, and that which the state does not explain. */
   measurements(mean, moved) {
     const { config, size, coefficients, family, seen } = this, tracked = this.tracked.slice(1);
-    // What the model does not explain at a reference is the same in every window there.
-    const centre = this.centre(), distance = this.used === null ? Infinity : distanceTo(centre, this.used) / config.reach_n;
-    const repeated = REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
-    const rows = [], errors = [], weights = [], affine = this.affine(centre), drift = Math.sqrt(2) * config.drift_n;
+    const centre = this.centre(), affine = this.affine(centre), found = { rows: [], errors: [], has: [], variance: [], unexplained: [] };
     // The start of the fin is not like any other window.
     const counts = this.age >= 2 * WINDOW_ACTIONS && this.age - this.begun >= WINDOW_ACTIONS;
-    const add = (feature, row, error, variance) => {
-      const valid = Number.isFinite(error);
-      rows.push(row);
-      errors.push(valid ? error - dot(row, mean) : 0);
-      weights.push(valid && counts && USABLE[this.uses](feature) ? 1 / variance : 0);
+    const add = (feature, row, error, variance, unexplained) => {
+      const has = Number.isFinite(error) && USABLE[this.uses](feature);
+      const entries = { rows: row, errors: has ? error - dot(row, mean) : 0, has: has && counts, variance, unexplained };
+      for (const [name, value] of Object.entries(entries)) found[name].push(value);
     };
     const lookUp = (name, force, k) => (family === null ? null : family.at(family[name], force, k));
     const nominal = tracked.map((force, k) => lookUp("nominal", force, k)), rough = tracked.map((force) => lookUp("nominal_noise", force));
@@ -162,10 +176,11 @@ class Feedback {
       const row = new Float64Array(size);
       for (let c = 0; c < coefficients; c++) row[c] = over((k) => change(k, c, axis));
       row.set(affine[axis], coefficients);
-      row[this.drifts[axis]] = drift;
-      add(axis, row, over((k) => seen[k][axis]) - centre[axis], config.noise_n ** 2 + repeated * config.rest_n ** 2 + moved ** 2);
+      row[this.places[axis]] = config.rest_n;
+      row[this.drifts[axis]] = Math.sqrt(2) * config.drift_n;
+      add(axis, row, over((k) => seen[k][axis]) - centre[axis], config.noise_n ** 2 + moved ** 2, 0);
     }
-    if (family === null) return { rows, errors, weights };
+    if (family === null) return found;
     const spread = family.feature_spread.values, noise = family.feature_noise.values;
     for (let k = 0; k < tracked.length; k++) {
       for (let feature = 0; feature < FEATURES; feature++) {
@@ -178,10 +193,10 @@ class Feedback {
           row[size - 1] = config.torque_scale * nominal[k][feature];
         }
         const white = WHITE_NOISE[feature] * (feature < LOADS ? 1 : spread[feature]);
-        add(feature, row, error, repeated * noise[feature] ** 2 + white ** 2 + rough[k][feature] ** 2 + ((spread[feature] * moved) / config.reach_n) ** 2);
+        add(feature, row, error, white ** 2 + rough[k][feature] ** 2 + ((spread[feature] * moved) / config.reach_n) ** 2, noise[feature] ** 2);
       }
     }
-    return { rows, errors, weights };
+    return found;
   }
 
   /* The corrected reference within reach and within the cells: between cells it ends at the edge of the reference's own. */
