@@ -22,7 +22,7 @@ from softfin.control.family import load_family
 from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.plant import hold, masked_mean, repeat
+from softfin.core.plant import hold, masked_mean, mean_loads, repeat
 from softfin.core.quantities import RATE_HZ, Command, action_to_command
 from softfin.evaluation.fin_figure import draw_fin
 from softfin.storage.figures import (
@@ -384,8 +384,7 @@ def feedback(figure: Figure) -> None:
             return state, (jax.tree.map(lambda x: x[0], reading), state.force, state.torque)
 
         state, (reading, force, torque) = repeat(tick, state, ticks, PAPER_CLOCK.max_ticks)
-        loads = jnp.stack([torque, torque * reading.velocity[:, None]], axis=1)
-        shaft, motor = masked_mean(loads, ticks).T
+        shaft, motor = mean_loads(torque, reading.velocity, ticks)
         measured = Measured(
             reading.angle[ticks - 1], masked_mean(reading.force, ticks), shaft, motor
         )

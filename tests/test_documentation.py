@@ -27,6 +27,7 @@ from softfin.core.configuration import Configuration, configure
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.find_family import FamilyConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
@@ -57,6 +58,8 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "calibrate": tuple(CALIBRATIONS.values()),
     "map": (MapConfig(),),
     "train": tuple(TRAIN_PRESETS.values()),
+    "family": (FamilyConfig(),),
+    "run": (RunConfig(),),
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),

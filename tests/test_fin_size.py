@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Measured
-from softfin.control.feedback import Feedback, FeedbackConfig, FeedbackForces
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.pytrees import register_controllers
 from softfin.control.references import default_references
 from softfin.evaluation.headline import within

@@ -108,7 +108,11 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
 
 
 def test_a_misspelt_option_is_named_although_it_took_the_controller(controller, capsys):
-    for option, nearest in (("--feedbck", "--feedback"), ("--trim", "--feedback"), ("--sedes", "--seeds")):
+    for option, nearest in (
+        ("--feedbck", "--feedback"),
+        ("--trim", "--feedback"),
+        ("--sedes", "--seeds"),
+    ):
         with pytest.raises(SystemExit):
             main(["evaluate", option, controller])
         line = capsys.readouterr().err

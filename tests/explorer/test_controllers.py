@@ -266,7 +266,7 @@ def test_feedback_sees_the_means_of_force_torque_and_power_over_each_action():
         };
         for (let k = 0; k < 301; k++) {
           const { angle, velocity, force, torque, motorTorque } = loop.tick();
-          ticks.push([angle, ...force, torque, torque * velocity, motorTorque, motorTorque * velocity]);
+          ticks.push([angle, ...force, torque, velocity, motorTorque, velocity]);
         }
         output = [ticks, measured];
         """,
@@ -277,6 +277,10 @@ def test_feedback_sees_the_means_of_force_torque_and_power_over_each_action():
     ends = np.cumsum(PAPER_CLOCK.action_ticks(9))
     for end, start, seen in zip(ends, [0, *ends[:-1]], measured[1:], strict=True):
         action = np.array(ticks[start:end])
+        velocity = action[:, 4]
+        # Torques are means over a tick, velocities from its end.
+        between = (np.concatenate([velocity[:1], velocity[:-1]]) + velocity) / 2
+        action[:, [4, 6]] = action[:, [3, 5]] * between[:, None]
         np.testing.assert_allclose(seen, [action[-1, 0], *action[:, 1:].mean(axis=0)], atol=1e-12)
     assert np.ptp(measured, axis=0).min() > 0.01
 

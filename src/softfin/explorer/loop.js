@@ -75,8 +75,10 @@ class Loop {
     this.left--;
     this.time++;
     const reading = this.readings[this.plant], force = reading.force;
-    // Only a tank has torques. Each comes with the power at the shaft's velocity.
-    const { torque = NaN, motorTorque = NaN, velocity } = reading, ticks = ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length];
+    // Only a tank has torques, which are means over a tick, so their power is that at the mean velocity. Within an action, as in Python.
+    const { torque = NaN, motorTorque = NaN } = reading, ticks = ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length];
+    const velocity = (reading.velocity + (this.left === ticks - 1 ? reading.velocity : this.velocity)) / 2;
+    this.velocity = reading.velocity;
     const now = { force, shaft: [torque, torque * velocity], motor: [motorTorque, motorTorque * velocity] };
     this.means = Object.fromEntries(Object.entries(now).map(([name, pair]) => [name, pair.map((value, k) => this.means[name][k] + value / ticks)]));
     const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;

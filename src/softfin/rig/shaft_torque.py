@@ -12,9 +12,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.rig.machine import Sample
-from softfin.rig.session import Session, Warn
+from softfin.rig.session import MeasuredForce, Session, Warn
 
 STROKE_RAD = 0.1
 """Motion of the shaft within an action during which a torque must change [rad]."""
@@ -53,6 +53,14 @@ class ShaftTorque:
             warn,
         )
 
+    @staticmethod
+    def force(samples: Sequence[Sample]) -> MeasuredForce:
+        """Return the mean force (x, y) at the times of the samples of an action [N]."""
+        rows = [(each.time, each.force_time, *each.wrench[:2]) for each in samples]
+        time, force_time, *forces = np.array(rows, float).T
+        x, y = (float(on_time(time, force_time, values).mean()) for values in forces)
+        return x, y
+
     def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
         """Return torque and power on the fin and of the motor over the samples of an action; None
         if the torque is not measured, not finite, constant while the shaft moves, or has the wrong
@@ -73,12 +81,12 @@ class ShaftTorque:
             for channel in (torque, current):
                 if channel.min() == channel.max():
                     channel[:] = math.nan
-        # The filters of the sensor delay the force. The newest value stands for the time since
-        # then, because the fin responds to the next command even later.
-        torque = np.interp(time, force_time, torque)
+        torque = on_time(time, force_time, torque)
+        # Currents are means over the time since the previous sample.
+        between = np.interp(time - TICK_S / 2, time, velocity)
         return (
             self._sensed.mean(torque, velocity, is_moving),
-            self._motor.mean(self._constant(current) * current, velocity, is_moving),
+            self._motor.mean(self._constant(current) * current, between, is_moving),
         )
 
     def _constant(self, current: _Series) -> float:
@@ -94,6 +102,15 @@ class ShaftTorque:
                 "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
             )
         return math.nan
+
+
+def on_time(time: _Series, force_time: _Series, values: _Series) -> _Series:
+    """Return values of the sensor at the times of the samples.
+
+    The filters of the sensor delay them. The newest value stands for the time since then, because
+    the fin responds to the next command even later.
+    """
+    return np.asarray(np.interp(time, force_time, values))
 
 
 class _Torque:
