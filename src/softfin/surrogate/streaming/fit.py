@@ -22,7 +22,7 @@ from softfin.core.compilation import chain_in_threads, jit
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
-from softfin.core.quantities import Log, Reading, command_limits
+from softfin.core.quantities import Limits, Log, Reading, command_limits
 from softfin.core.randomness import named_key
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.protocol import SurrogateConfig
@@ -103,6 +103,18 @@ class StreamingConfig(SurrogateConfig):
                 "free_running must be two fractions from 0 to 1 in ascending order, e.g. 0.2, 0.8"
             )
         return self
+
+
+class StreamingSplit(NamedTuple):
+    """Logs of a fit."""
+
+    training: Sequence[Log]
+    holding: list[Log]
+    """Held-out logs that are long enough."""
+    scales: Scales
+    """Scales of the training logs."""
+    table: Table
+    """Training logs."""
 
 
 class _MemberState(NamedTuple):
@@ -256,13 +268,28 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory` if there
-    is one."""
-    training, holding, scales, table = split_streaming(logs, config)
+    """Fit an ensemble to the training logs, starting from random weights."""
+    split = split_streaming(logs, config)
     start = jit("none")(ensemble)
     members = start(
-        config.members, config.drive, config.force, scales, named_key(seed, "fit/weights")
+        config.members, config.drive, config.force, split.scales, named_key(seed, "fit/weights")
     )
+    limits = command_limits(split.training)
+    return train_members(members, limits, split, config, seed, run_directory, progress)
+
+
+def train_members(
+    members: Member,
+    limits: Limits,
+    split: StreamingSplit,
+    config: StreamingConfig,
+    seed: int,
+    run_directory: RunDirectory,
+    progress: Progress | None = None,
+) -> StreamingSurrogate:
+    """Train members from their current weights, except the drive profile, which is identified from
+    the training logs; resume from the checkpoint in `run_directory` if there is one."""
+    training, holding, scales, table = split
     updates = {"drive": config.drive_updates, "force": config.force_updates}
     learners = {
         "drive": StreamingLearner(drive_loss, config, config.drive_updates),
@@ -346,15 +373,11 @@ def fit_streaming(
     force_nets = learn("force", joined, force_errors)
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
-    return StreamingSurrogate(
-        Member(drives, force_nets), command_limits(training), interval, familiarity
-    )
+    return StreamingSurrogate(Member(drives, force_nets), limits, interval, familiarity)
 
 
-def split_streaming(
-    logs: Sequence[Log], config: StreamingConfig
-) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Return the training logs, the held-out logs, and the scales and table of the training logs.
+def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> StreamingSplit:
+    """Split logs into training logs and held-out logs.
 
     Raises:
         LogError: If there are too few logs or rows, or a channel never changes.
@@ -368,7 +391,9 @@ def split_streaming(
             f"intervals of the mean over {PAPER_CLOCK.window_ticks} samples after burn_in = "
             f"{config.burn_in}; record longer logs"
         )
-    return training, holding, measure_scales(training), Table.of(training, config.ticks)
+    return StreamingSplit(
+        training, holding, measure_scales(training), Table.of(training, config.ticks)
+    )
 
 
 def _calls(updates: int) -> tuple[int, int]:
