@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from softfin.core.plant import Plant
     from softfin.core.quantities import Log
     from softfin.data.recordings import OpenedLogs
-    from softfin.surrogate.protocol import SurrogatePlant
+    from softfin.surrogate.protocol import Architecture, SurrogatePlant
+    from softfin.surrogate.streaming.refit import Refit
 
 SHOWN_TEST_S = 8
 """Length of the test log segment in the figure [s]."""
@@ -48,6 +49,7 @@ def fit(
     *,
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
+    start: Annotated[PathLike | None, DIR] = None,
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     seed: int = 0,
     config: Config = None,
@@ -61,6 +63,7 @@ def fit(
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
+        start: Streaming surrogate to refit to new logs of its fin, which has changed since.
         recordings: How to read recordings from other programs.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
@@ -82,7 +85,13 @@ def fit(
     check_seed(seed)
     find_recordings(dataset)
     artifacts.check_vacant(out, overwrite or resume, kind="surrogate")
-    architecture = find_architecture(model)
+    architecture: Architecture | Refit = find_architecture(model)
+    kept: JsonObject = {}
+    if start is not None:
+        from softfin.surrogate.streaming.refit import load_refit
+
+        kept = artifacts.load_description(Path(start), "surrogate")
+        architecture = refit = load_refit(Path(start), model)
     settings = configure(architecture.config(), config)
     from softfin.data.recordings import open_logs
     from softfin.data.stroke_time import stroke_time
@@ -110,7 +119,11 @@ def fit(
         "data_hash": opened.data_hash,
         "model": model,
     }
-    run_directory = RunDirectory(out, metadata, resume, overwrite)
+    # The metadata of a dataset are already in the dataset folder.
+    own: JsonObject = {} if description else {"logs": opened.metadata}
+    if kept:
+        own["refit"] = refit.provenance(opened.train, scored)
+    run_directory = RunDirectory(out, metadata | own, resume, overwrite)
     if not run_directory.complete:
         fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
 
@@ -119,8 +132,6 @@ def fit(
             if scored[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, scored[0]), folder / "prediction.png")
 
-        # The metadata of a dataset are already in the dataset folder.
-        own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
         )
@@ -133,8 +144,8 @@ def fit(
             overwrite=overwrite,
             configuration=metadata["configuration"],
             training_range=ranges(opened.train),
-            stroke_s=stroke_time(opened.train),
-            fin=description.get("fin"),
+            stroke_s=kept.get("stroke_s") or stroke_time(opened.train),
+            fin=kept.get("fin") or description.get("fin"),
         )
     run_directory.finish()
     return _summarize_fit(dataset, out, opened, spans, counted(len(scored), f"{part} log"))
@@ -157,6 +168,12 @@ def _summarize_fit(
     parts = [format_table_one(written["scores"])]
     if caveat is not None:
         parts.append(f"note: {caveat}")
+    refit = written["provenance"].get("refit")
+    if refit:
+        better = refit["start"] if refit["scores"] == written["scores"] else "the refit"
+        parts.append(
+            f"{refit['start']}: {_verdict(refit['scores'], spans, scored)}; {better} is kept"
+        )
     clock = ""
     if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
         parts.append(
@@ -180,6 +197,7 @@ def _summarize_fit(
         "stroke_s": stroke_s,
         "caveat": caveat,
         "warning": warning,
+        "refit": refit,
     }
     return Result(values, notes + "\n\n".join(parts))
 

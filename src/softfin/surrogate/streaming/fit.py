@@ -22,7 +22,7 @@ from softfin.core.compilation import chain_in_threads, jit
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
-from softfin.core.quantities import Limits, Log, Reading, command_limits
+from softfin.core.quantities import Log, Reading, command_limits
 from softfin.core.randomness import named_key
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.protocol import SurrogateConfig
@@ -103,18 +103,6 @@ class StreamingConfig(SurrogateConfig):
                 "free_running must be two fractions from 0 to 1 in ascending order, e.g. 0.2, 0.8"
             )
         return self
-
-
-class StreamingSplit(NamedTuple):
-    """Logs of a fit."""
-
-    training: Sequence[Log]
-    holding: list[Log]
-    """Held-out logs that are long enough."""
-    scales: Scales
-    """Scales of the training logs."""
-    table: Table
-    """Training logs."""
 
 
 class _MemberState(NamedTuple):
@@ -267,34 +255,22 @@ def fit_streaming(
     seed: int,
     run_directory: RunDirectory,
     progress: Progress | None = None,
+    members: Member | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs, starting from random weights."""
-    split = split_streaming(logs, config)
+    """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory` if there
+    is one.
+
+    Training starts from `members`, or by default from random weights.
+    """
+    training, holding, scales, table = split_streaming(logs, config)
+    key = named_key(seed, "fit/weights")
     start = jit("none")(ensemble)
-    members = start(
-        config.members, config.drive, config.force, split.scales, named_key(seed, "fit/weights")
-    )
-    limits = command_limits(split.training)
-    return train_members(members, limits, split, config, seed, run_directory, progress)
-
-
-def train_members(
-    members: Member,
-    limits: Limits,
-    split: StreamingSplit,
-    config: StreamingConfig,
-    seed: int,
-    run_directory: RunDirectory,
-    progress: Progress | None = None,
-) -> StreamingSurrogate:
-    """Train members from their current weights, except the drive profile, which is identified from
-    the training logs; resume from the checkpoint in `run_directory` if there is one."""
-    training, holding, scales, table = split
-    updates = {"drive": config.drive_updates, "force": config.force_updates}
+    members = members or start(config.members, config.drive, config.force, scales, key)
     learners = {
         "drive": StreamingLearner(drive_loss, config, config.drive_updates),
         "force": StreamingLearner(force_loss, config, config.force_updates),
     }
+    num_updates = config.drive_updates + config.force_updates
     states = {
         "drive": learners["drive"].start(members.drive),
         "force": learners["force"].start(members.force),
@@ -318,21 +294,21 @@ def train_members(
         `errors` returns the squared errors on each held-out log, ``(members, rows)``.
         """
         key = named_key(seed, f"fit/{name}")
-        call, round_of = _calls(updates[name])
-        before = updates["drive"] if name == "force" else 0
+        updates = learners[name].updates
+        call, round_of = _calls(updates)
+        before = config.drive_updates if name == "force" else 0
         text = f"{name} networks"
-        while done[name] < updates[name]:
+        while done[name] < updates:
             state = states[name]
             losses = []
-            until = min(done[name] + round_of, updates[name])
+            until = min(done[name] + round_of, updates)
             calls = [(first, min(call, until - first)) for first in range(done[name], until, call)]
             after_calls = learners[name].run(state, table, predicted, calls, key)
             for (first, count), (after, loss) in zip(calls, after_calls, strict=True):
                 state = after
                 losses.append(loss)
                 if progress is not None:
-                    part = (before + first + count) / sum(updates.values())
-                    progress("fit", part, text)
+                    progress("fit", (before + first + count) / num_updates, text)
             # A diverged network overflows here; keep_best_nets then raises an error.
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
@@ -373,11 +349,15 @@ def train_members(
     force_nets = learn("force", joined, force_errors)
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
-    return StreamingSurrogate(Member(drives, force_nets), limits, interval, familiarity)
+    return StreamingSurrogate(
+        Member(drives, force_nets), command_limits(training), interval, familiarity
+    )
 
 
-def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> StreamingSplit:
-    """Split logs into training logs and held-out logs.
+def split_streaming(
+    logs: Sequence[Log], config: StreamingConfig
+) -> tuple[Sequence[Log], list[Log], Scales, Table]:
+    """Return the training logs, the held-out logs, and the scales and table of the training logs.
 
     Raises:
         LogError: If there are too few logs or rows, or a channel never changes.
@@ -391,9 +371,7 @@ def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> StreamingSp
             f"intervals of the mean over {PAPER_CLOCK.window_ticks} samples after burn_in = "
             f"{config.burn_in}; record longer logs"
         )
-    return StreamingSplit(
-        training, holding, measure_scales(training), Table.of(training, config.ticks)
-    )
+    return training, holding, measure_scales(training), Table.of(training, config.ticks)
 
 
 def _calls(updates: int) -> tuple[int, int]:
