@@ -3,13 +3,15 @@
     python -m studies.refit RUN --start SURROGATE                       # about an hour on two cores
     python -m studies.refit RUN --start SURROGATE --figure docs/refit.png
 
-Each seed has its own changed tank, one-minute logs, test commands and weights. The score is the
-mean error of the predicted mean force over 200 samples, against the true force in the tank without
-noise and drift, in free runs from commands alone. RUN contains a folder per fit and a file per
+Each seed has its own changed tank, one-minute logs, test commands and weights. The scores
+are the mean error of the predicted mean force over 200 samples and the root mean square error of
+the force, both against the true force in the tank without noise and drift, in free runs from
+commands alone. RUN contains a folder per fit and a file per
 score; finished ones are skipped, so the same command continues a stopped study.
 """
 
 import argparse
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -54,6 +56,8 @@ KINDS = {
     "nothing": ("fit from nothing", ORANGE, "s"),
 }
 """Title, colour and marker of each kind of fit."""
+
+SCORES = {"mean_force_mae_n": "mean force", "force_rmse_n": "force, RMS"}
 
 CONFIGS: dict[str, dict[str, Any]] = {
     "refit": {},
@@ -111,8 +115,8 @@ def study(options: argparse.Namespace, seed: int) -> None:
                 overwrite=True,
                 progress=told(f"{kind}, {minutes} min, seed {seed}"),
             )
-        score = {"mean_force_mae_n": mean_force_error(folder, test)}
-        artifacts.write_file(files[kind, minutes], artifacts.dump_json(score))
+        scores = force_errors(folder, test)
+        artifacts.write_file(files[kind, minutes], artifacts.dump_json(scores))
 
 
 def score_file(run: Path, kind: str, minutes: int, seed: int) -> Path:
@@ -130,15 +134,19 @@ def changed_logs(seed: int, part: str, count: int, is_silent: bool) -> list[Log]
     )
 
 
-def mean_force_error(folder: Path, logs: Sequence[Log]) -> float:
-    """Return the mean absolute error of the mean force over both axes and all windows [N]."""
+def force_errors(folder: Path, logs: Sequence[Log]) -> dict[str, float]:
+    """Return the errors over both axes and all logs."""
     surrogate = load_surrogate(folder)
     *_, force = surrogate.predictions(logs).values()
     errors = []
     for predicted, log in zip(force.series, logs, strict=True):
-        error = predicted - np.asarray(log.reading.force)[SKIPPED:]
-        errors.append(np.abs(moving_average(error)))
-    return float(np.mean(errors))
+        errors.append(predicted - np.asarray(log.reading.force)[SKIPPED:])
+    means = [np.abs(moving_average(error)).mean() for error in errors]
+    squares = [np.mean(error**2) for error in errors]
+    return {
+        "mean_force_mae_n": float(np.mean(means)),
+        "force_rmse_n": float(np.sqrt(np.mean(squares))),
+    }
 
 
 def gathered(run: Path) -> list[dict[str, Any]]:
@@ -147,21 +155,24 @@ def gathered(run: Path) -> list[dict[str, Any]]:
     for folder in sorted((run / "scores").iterdir()):
         kind, minutes = folder.name.split("-")
         scores = [json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))]
-        errors = [score["mean_force_mae_n"] for score in scores]
-        rows.append(
-            {"kind": kind, "minutes": int(minutes), "errors_n": errors, "error_n": spread(errors)}
-        )
+        row: dict[str, Any] = {"kind": kind, "minutes": int(minutes), "seeds": len(scores)}
+        for name in SCORES:
+            row[name] = spread([score[name] for score in scores])
+        rows.append(row)
     return rows
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Return the errors by minutes and kind, for a document."""
-    cells = {(row["kind"], row["minutes"]): cell(row["error_n"], 1, 3) for row in rows}
-    titles = ["minutes of new logs", *(f"{title} [N]" for title, _, _ in KINDS.values())]
-    lines = [titles, ["---"] * len(titles)]
+    known = {(row["kind"], row["minutes"]): row for row in rows}
+    cases = list(itertools.product(SCORES, KINDS))
+    titles = [f"{SCORES[score]}, {KINDS[kind][0]} [N]" for score, kind in cases]
+    lines = [["minutes", "seeds", *titles], ["---"] * (2 + len(cases))]
     for minutes in sorted({row["minutes"] for row in rows}):
-        values = [cells.get((kind, minutes), "\N{EN DASH}") for kind in KINDS]
-        lines.append([str(minutes), *values])
+        line = [str(minutes), str(known["refit", minutes]["seeds"])]
+        for score, kind in cases:
+            line.append(cell(known.get((kind, minutes), {}).get(score), 1, 3))
+        lines.append(line)
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -174,8 +185,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             own = [row for row in rows if row["kind"] == kind and row["minutes"]]
             axes.errorbar(
                 [row["minutes"] for row in own],
-                [row["error_n"]["mean"] for row in own],
-                [row["error_n"]["sd"] or 0.0 for row in own],
+                [row["mean_force_mae_n"]["mean"] for row in own],
+                [row["mean_force_mae_n"]["sd"] or 0.0 for row in own],
                 label=title,
                 color=colour,
                 marker=marker,
@@ -185,7 +196,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         for row in rows:
             if row["minutes"] == 0:
                 label = "before the refit"
-                level = row["error_n"]["mean"]
+                level = row["mean_force_mae_n"]["mean"]
                 axes.axhline(level, color=BLACK, linestyle=":", linewidth=1.2, label=label)
         minutes = sorted({row["minutes"] for row in rows if row["minutes"]})
         axes.set(xlabel="new logs [min]", ylabel="error of the mean force [N]", xscale="log")

@@ -87,13 +87,13 @@ def test_a_refit_that_is_worse_is_discarded_but_the_interval_is_calibrated(tmp_p
 )
 def test_options_that_change_the_networks_are_refused(tmp_path, changes):
     (option,) = changes
-    with pytest.raises(ConfigurationError, match=f"--{option}: .* start"):
+    with pytest.raises(ConfigurationError, match=f"--start start: .*--{option}"):
         refit(tmp_path, LOGS, **changes)
 
 
 @pytest.mark.parametrize("beyond", [{"reach": 1.8}, {"speeds": (1.0, 3.5)}])
 def test_commands_outside_the_limits_are_refused(tmp_path, beyond):
-    with pytest.raises(LogError, match="start"):
+    with pytest.raises(LogError, match="--start start"):
         refit(tmp_path, [*LOGS, small.recorded(rows=400, **beyond)])
 
 
@@ -111,7 +111,7 @@ def test_a_fin_of_a_different_size_is_refused(tmp_path, factor):
         reading = log.reading
         return log._replace(reading=reading._replace(force=reading.force * np.float32(factor)))
 
-    with pytest.raises(LogError, match="start"):
+    with pytest.raises(LogError, match="--start start"):
         refit(tmp_path, [scale(log) for log in LOGS])
 
 

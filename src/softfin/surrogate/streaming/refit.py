@@ -69,15 +69,33 @@ class Refit(NamedTuple):
         """
         assert isinstance(config, StreamingConfig)
         start = self.start
-        for field in ("drive", "force", "members"):
-            if getattr(config, field) != getattr(self.config(), field):
-                raise ConfigurationError(
-                    f"--{field}: a refit keeps the networks of {self.name}; remove --{field}, or "
-                    "fit without --start"
-                )
-        self._check(logs)
+        own = self.config()
+        if (config.drive, config.force, config.members) != (own.drive, own.force, own.members):
+            raise ConfigurationError(
+                f"--start {self.name}: a refit keeps the networks; remove the options --drive, "
+                "--force and --members, or fit without --start"
+            )
+        limits = command_limits(logs)
+        # A minimum exceeds a limit downwards.
+        excess = np.subtract(limits, start.limits) * (-1, 1, -1, 1)
+        if excess.max() > LIMIT_TOLERANCE:
+            raise LogError(
+                f"--start {self.name}: the commands in the new logs exceed the limits ({limits} "
+                f"instead of {start.limits}); record commands within the limits, or fit without "
+                "--start"
+            )
+        before = start.members.force.scales
+        now = measure_scales(logs)
+        rate = now.velocity_rad_s / before.velocity_rad_s
+        ratio = now.force_n / before.force_n / rate**2
+        if not 1 / MAX_FORCE_RATIO < ratio < MAX_FORCE_RATIO:
+            raise LogError(
+                f"--start {self.name}: the forces in the new logs are {ratio:.2g} times as large "
+                "at the same speed, so the size of the fin differs; check the force unit, or fit "
+                "without --start"
+            )
         refitted = fit_streaming(logs, config, seed, run_directory, progress, start.members)
-        # The offset is the mean drift of the logs; few new logs know it less well than the start.
+        # The offset is the mean drift of the logs, and the start has been fitted to more logs.
         refitted = eqx.tree_at(
             lambda each: each.members.force.offset, refitted, start.members.force.offset
         )
@@ -87,30 +105,9 @@ class Refit(NamedTuple):
             scores = table_one(surrogate, holding)["force_free_running"]
             errors.append(scores["physical"]["rmse"])
         better = refitted if errors[1] < errors[0] else start
-        motion = predict_motion(better.members.drive, holding)
-        force = predict_force(better.members.force, motion)
+        force = predict_force(better.members.force, predict_motion(better.members.drive, holding))
         interval = calibrated(force, holding, config.burn_in)
         return StreamingSurrogate(better.members, start.limits, interval, better.familiarity)
-
-    def _check(self, logs: Sequence[Log]) -> None:
-        limits = command_limits(logs)
-        # A minimum exceeds a limit downwards.
-        excess = np.subtract(limits, self.start.limits) * (-1, 1, -1, 1)
-        if excess.max() > LIMIT_TOLERANCE:
-            raise LogError(
-                f"new logs: the commands exceed the limits of {self.name} ({limits} instead of "
-                f"{self.start.limits}); record commands within the limits, or fit without --start"
-            )
-        before = self.start.members.force.scales
-        now = measure_scales(logs)
-        rate = now.velocity_rad_s / before.velocity_rad_s
-        ratio = now.force_n / before.force_n / rate**2
-        if not 1 / MAX_FORCE_RATIO < ratio < MAX_FORCE_RATIO:
-            raise LogError(
-                f"new logs: the forces are {ratio:.2g} times those of {self.name} at the same "
-                "speed, so the size of the fin differs; check the force unit, or fit without "
-                "--start"
-            )
 
     def provenance(self, logs: Sequence[Log], scored: Sequence[Log]) -> JsonObject:
         """Return the name, hash and scores of the surrogate, and the minutes of new logs."""
