@@ -21,6 +21,7 @@ from softfin.surrogate import (
 )
 from softfin.surrogate.registry import find_architecture
 from softfin.surrogate.streaming.refit import Refit
+from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
 
@@ -217,13 +218,31 @@ def test_a_refit_with_a_different_start_is_not_continued(
     words = ["fit", dataset, "--start", str(start), "--out", str(tmp_path / "s"), "--resume"]
     run(capsys, *words)
     save_surrogate(start, small.surrogate(seed=1), None, {}, overwrite=True)
-    assert "refit.identity" in fails(capsys, *words)
+    assert "start was" in fails(capsys, *words)
+
+
+@pytest.mark.parametrize("model", ["paper", "streaming"])
+def test_only_streaming_surrogates_are_refitted(capsys, tmp_path, dataset, start, model):
+    save_surrogate(tmp_path / "paper", paper.surrogate(), None, {})
+    chosen = start if model == "paper" else tmp_path / "paper"
+    out = tmp_path / "s"
+    words = ["--start", str(chosen), "--model", model, "--out", str(out)]
+    assert f"--start {chosen}" in fails(capsys, "fit", dataset, *words)
+    assert not out.exists()
+
+
+def test_a_start_with_other_channels_is_refused(capsys, tmp_path, dataset, start):
+    file = start / "surrogate.json"
+    description = json.loads(file.read_text())
+    description["channels"]["out"].append("torque_nm")
+    file.write_text(json.dumps(description))
+    words = ["fit", dataset, "--start", str(start), "--out", str(tmp_path / "s")]
+    assert "unsupported channels" in fails(capsys, *words)
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--model", "paper"], "--start"),
         (["--members", "3"], "--members"),
         (["--drive.units", "4"], "--drive"),
         (["--force.wake", "1"], "--force"),

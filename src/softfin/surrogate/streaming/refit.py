@@ -6,7 +6,6 @@ result is the surrogate before or after the refit, whichever predicts the held-o
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,7 +18,6 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log, command_limits
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.protocol import SurrogateConfig
-from softfin.surrogate.store import load_surrogate
 from softfin.surrogate.streaming.ensemble import calibrated, predict_force, predict_motion
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
 from softfin.surrogate.streaming.segments import measure_scales
@@ -44,6 +42,8 @@ class Refit(NamedTuple):
     name: str
     """Path of the surrogate."""
     start: StreamingSurrogate
+    entries: JsonObject
+    """Entries of ``surrogate.json`` that the refitted surrogate inherits."""
 
     def config(self) -> StreamingConfig:
         """Return the default configuration."""
@@ -117,14 +117,3 @@ class Refit(NamedTuple):
             "scores": table_one(self.start, scored),
             "minutes": sum(log.rows for log in logs) / RATE_HZ / 60,
         }
-
-
-def load_refit(path: Path, model: str) -> Refit:
-    """Load the surrogate to refit; raises ConfigurationError if it is not a streaming surrogate."""
-    start = load_surrogate(path)
-    if not isinstance(start, StreamingSurrogate) or start.model != model:
-        raise ConfigurationError(
-            f"--start {path}: a {start.model} surrogate cannot be refitted with --model {model}; "
-            "both must be streaming, or fit without --start"
-        )
-    return Refit(str(path), start)
