@@ -15,12 +15,11 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
-from softfin.core.quantities import RATE_HZ, Log, command_limits
+from softfin.core.quantities import LIMIT_KEYS, RATE_HZ, Log, command_limits
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.protocol import SurrogateConfig
 from softfin.surrogate.streaming.ensemble import calibrated, predict_force, predict_motion
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming, split_streaming
-from softfin.surrogate.streaming.segments import measure_scales
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.table_one import table_one
 
@@ -78,14 +77,16 @@ class Refit(NamedTuple):
         limits = command_limits(logs)
         # A minimum exceeds a limit downwards.
         excess = np.subtract(limits, start.limits) * (-1, 1, -1, 1)
-        if excess.max() > LIMIT_TOLERANCE:
+        worst = int(excess.argmax())
+        if excess[worst] > LIMIT_TOLERANCE:
             raise LogError(
-                f"--start {self.name}: the commands in the new logs exceed the limits ({limits} "
-                f"instead of {start.limits}); record commands within the limits, or fit without "
+                f"--start {self.name}: the commands in the new logs exceed its limits "
+                f"({LIMIT_KEYS[worst]} is {limits[worst]:.3g} instead of "
+                f"{start.limits[worst]:.3g}); record commands within the limits, or fit without "
                 "--start"
             )
         before = start.members.force.scales
-        now = measure_scales(logs)
+        _, holding, now, _ = split_streaming(logs, config)
         rate = now.velocity_rad_s / before.velocity_rad_s
         ratio = now.force_n / before.force_n / rate**2
         if not 1 / MAX_FORCE_RATIO < ratio < MAX_FORCE_RATIO:
@@ -99,7 +100,6 @@ class Refit(NamedTuple):
         refitted = eqx.tree_at(
             lambda each: each.members.force.offset, refitted, start.members.force.offset
         )
-        holding = split_streaming(logs, config)[1]
         errors = []
         for surrogate in (start, refitted):
             scores = table_one(surrogate, holding)["force_free_running"]
