@@ -13,6 +13,7 @@ from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
 from .stages.collect import collect as collect
 from .stages.controllers import export as export
+from .stages.controllers import family as family
 from .stages.controllers import map_forces as map_forces
 from .stages.controllers import train as train
 from .stages.doctor import doctor as doctor

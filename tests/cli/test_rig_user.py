@@ -22,7 +22,7 @@ from softfin.stages import driving
 from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_option
-from tests.rig.machines import FreeFin
+from tests.rig.machines import FreeFin, Hours
 from tests.rig.rigs import simulated
 
 BENCH = RobotSetup(FreeFin(), SafetyConfig())
@@ -150,6 +150,19 @@ def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
     drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), result, "Enter")
     assert result["error_x_n"] == pytest.approx(0.5)
     assert result["window_s"] == 2
+
+
+@pytest.mark.parametrize(("trim", "lines"), [(True, 1), (False, 0)])
+def test_feedback_names_the_key_without_which_the_current_is_not_used(
+    controller, trim, lines, capsys
+):
+    machine = FreeFin(Hours())
+    session = Session(machine, Guard(SafetyConfig(), machine.limits))
+    drive = driving.Drive(load_controller(controller), BENCH, Arming(), 3, None, trim=trim)
+    with session:
+        session.activate()
+        drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
+    assert capsys.readouterr().err.count("drive.torque_constant_nm_a") == lines
 
 
 def test_a_file_is_never_written_through_a_link_that_stands_in_its_way(tmp_path, monkeypatch):

@@ -145,6 +145,7 @@ class Wagging:
         self.limits = Limits(*map(float, PAPER_LIMITS))
         self.asked: list[tuple[float, float]] = []
         self.forces: list[tuple[float, float]] = []
+        self.drives: list[tuple[object, object]] = []
         self._worse = worse
 
     def init(self) -> int:
@@ -155,6 +156,7 @@ class Wagging:
     ) -> tuple[int, Command]:
         self.asked.append(reference)
         self.forces.append(measured.force)
+        self.drives.append((measured.shaft, measured.motor))
         target = self._worse(state) or Target(0.5 if state % 2 else -0.5, 2.0)
         return state + 1, Command(*target)
 

@@ -50,9 +50,11 @@ def config_of(behind: EmulatedRig, **values: Any) -> RigConfig:
 
 
 @contextmanager
-def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[EmulatedRig, RobotSetup]]:
+def emulated(
+    tank: Tank | None = None, drive: str = "epos2", **safety: Any
+) -> Iterator[tuple[EmulatedRig, RobotSetup]]:
     """With a fin that needs no JAX, unless a tank is given."""
-    with simulated(tank) as behind:
+    with simulated(tank, drive=drive) as behind:
         values = values_of(behind, **safety)
         yield (
             behind,
@@ -61,11 +63,13 @@ def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[Emulated
 
 
 @contextmanager
-def simulated(tank: Tank | None = None, sensor: str = "axia80") -> Iterator[EmulatedRig]:
+def simulated(
+    tank: Tank | None = None, sensor: str = "axia80", drive: str = "epos2"
+) -> Iterator[EmulatedRig]:
     """Likewise, without the host's side."""
     clock = SimulatedClock()
     fin = None if tank else SimpleFin(clock)
-    with EmulatedRig(tank, fin=fin, clock=clock, sensor=sensor) as behind:
+    with EmulatedRig(tank, fin=fin, clock=clock, sensor=sensor, drive=drive) as behind:
         yield behind
 
 

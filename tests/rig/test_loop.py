@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from softfin.core.action_clock import PAPER_CLOCK
@@ -36,6 +37,30 @@ def test_the_controller_sees_forces_without_what_the_sensor_read_at_rest():
     held(zeroed, zero=(0.3, -0.2))
     for force, plain in zip(zeroed.forces[1:], raw.forces[1:], strict=True):
         assert force == pytest.approx((plain[0] - 0.3, plain[1] + 0.2))
+
+
+def test_the_controller_sees_mean_torque_and_power_since_its_last_action():
+    made = Made()
+    made.machine.torque_constant_nm_a = 2.5
+
+    def loaded(sample):
+        wrench = (*sample.wrench[:5], 0.4 + 0.1 * sample.angle)
+        return sample._replace(current=0.1 + 0.5 * sample.angle, wrench=wrench)
+
+    made.machine.altered = loaded
+    controller = Wagging()
+    with made.session as session:
+        session.activate()
+        zero = session.rest(0.5)
+        acted = list(run_controller(session, controller, lambda at: (1.0, -1.0), 6, zero))
+    assert controller.drives[0] == (None, None)
+    for (shaft, motor), before in zip(controller.drives[1:], acted, strict=False):
+        angle = np.array([sample.angle for sample in before.samples])
+        velocity = np.array([sample.velocity for sample in before.samples])
+        # The torque of the sensor is without its value at rest.
+        assert shaft[0] == pytest.approx(np.mean(0.1 * angle))
+        torque = 2.5 * (0.1 + 0.5 * angle)
+        assert motor == pytest.approx((torque.mean(), np.mean(torque * velocity)))
 
 
 def test_references_are_asked_for_at_the_time_of_each_action():

@@ -189,6 +189,28 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
         assert alike(through.reading.force[:, axis], own.force[:, axis], 1) > 0.99
 
 
+@pytest.mark.parametrize("drive", ["epos2", "dynamixel"])
+def test_torque_and_current_through_the_emulators_are_the_tanks_own(drive, tmp_path):
+    tank = Tank()
+    config = CollectConfig(logs=1, test_logs=0, rows=400, seed=5)
+    with emulated(tank, drive) as (_, robot):
+        live = collect_live(robot, tmp_path / "live", config, yes)
+    alone = collect_logs(tank, config.changed(["channels=true"]), tmp_path / "alone")
+    through, own = (next(iter(data.load(data.train))) for data in (live, alone))
+    torque = through.channels["torque_nm"]
+    current = through.channels["current_a"]
+    assert rmse(torque, own.channels["torque_nm"], 1) < 0.06 * torque.std()
+    assert alike(current, own.channels["current_a"], 1) > 0.98
+    assert current.std() == pytest.approx(own.channels["current_a"].std(), rel=0.05)
+    # The rotor is in the current but not in the torque; on average, it takes no power.
+    constant_nm_a = robot.machine.torque_constant_nm_a
+    assert alike(constant_nm_a * current, torque, 0) < 0.95
+    power_w = np.mean(own.channels["torque_nm"] * own.reading.velocity)
+    for motor_torque in (torque, constant_nm_a * current):
+        mean_w = np.mean(motor_torque * through.reading.velocity)
+        assert mean_w == pytest.approx(power_w, rel=0.15)
+
+
 def shifted(through, own, lag):
     """What came through later, over what was there; the first second of both settles."""
     return np.stack([through[100 + lag :], own[100 : len(own) - lag]])

@@ -68,6 +68,10 @@ GROUPS = {
         "map": Command(
             "softfin.stages.controllers:map_forces", "find the mean forces that a fin can produce"
         ),
+        "family": Command(
+            "softfin.stages.controllers:family",
+            "find what the fin of a controller may become, for feedback",
+        ),
         "train": Command(
             "softfin.stages.controllers:train", "train force controllers inside a surrogate"
         ),

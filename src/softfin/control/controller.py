@@ -34,6 +34,12 @@ class Measured(NamedTuple):
     """Latest reading of the shaft angle [rad]; 0 before the first reading."""
     force: Array
     """Mean force (x, y) since the last action [N]; 0 before the first action."""
+    shaft: Array | None = None
+    """Mean torque on the fin about the shaft [N m] and mean power that it receives [W] since the
+    last action; positive if the drive delivers power. None if not measured."""
+    motor: Array | None = None
+    """Mean torque [N m] and mean power [W] of the motor at the fin's side of the gearbox since the
+    last action, computed from its current; None if not measured."""
 
 
 @runtime_checkable
@@ -140,7 +146,7 @@ class LoadedController:
                 has a different shape.
         """
         try:
-            angle, force = measured
+            angle, force = measured[:2]
         except (TypeError, ValueError):
             raise self._malformed(measured, reference) from None
         ops = select_operations(angle, reference, state[0])

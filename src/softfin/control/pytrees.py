@@ -6,7 +6,7 @@ from functools import cache
 import jax
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -19,7 +19,7 @@ def register_controllers() -> None:
 
     The classes cannot register themselves, because a robot runs them without JAX.
     """
-    for each in (LoadedController, DisturbanceObserver, SingleStep, GridStep, GaitStep):
+    for each in (LoadedController, Feedback, SingleStep, GridStep, GaitStep):
         names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}
         for field in dataclasses.fields(each):
             role = next(iter(field.metadata), "leaf")

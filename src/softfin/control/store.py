@@ -14,6 +14,8 @@ import numpy as np
 import pydantic
 
 from softfin.control.controller import Artifact, LoadedController, TrainingRange
+from softfin.control.family import load_family
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -53,6 +55,16 @@ def load_controller(path: str | Path) -> LoadedController:
     return build_controller(
         description, arrays, str(path / f"{CONTROLLER_KIND}.json"), path.resolve().name, digest
     )
+
+
+def load_feedback(
+    path: Path, controller: LoadedController, config: FeedbackConfig | None
+) -> LoadedController | Feedback:
+    """Return a controller with feedback, and with the family of its fin if the folder of the
+    controller contains one; without `config`, the controller itself."""
+    if config is None:
+        return controller
+    return Feedback(controller, config, load_family(path, controller))
 
 
 def build_controller(

@@ -99,8 +99,15 @@ class Changes(NamedTuple):
         return config.merged(values, "options")
 
 
+RENAMED: Mapping[str, str] = {"trim": "feedback"}
+"""New names of options and keys, by their old names."""
+
+
 def suggest_option(option: str, options: Sequence[str]) -> str:
     """Return the end of a message about an unknown option."""
+    old, *fields = option.removeprefix("--").split(".")
+    if old in RENAMED:
+        return f"it is now --{'.'.join([RENAMED[old], *fields])}"
     names = [name.removeprefix("--") for name in options]
     close = difflib.get_close_matches(option.removeprefix("--"), names, n=1)
     return f"did you mean --{close[0]}?" if close else "--help lists the options"
@@ -232,5 +239,5 @@ def _field_class(field: pydantic.fields.FieldInfo, values: Any) -> Any:
 
 
 def _nearest(name: str, allowed: Mapping[str, object]) -> str:
-    close = difflib.get_close_matches(name, list(allowed), n=1)
+    close = difflib.get_close_matches(RENAMED.get(name, name), list(allowed), n=1)
     return f"; did you mean {close[0]!r}?" if close else f"; available: {', '.join(allowed)}"

@@ -34,6 +34,13 @@ class Operations:
         """Return one of two values or tuples of values; the other may also be computed."""
         return then() if condition else otherwise()
 
+    def branch(
+        self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
+    ) -> Any:
+        """Like `choose`, but the other value is not computed if the condition is the same for the
+        whole batch; for values that are expensive."""
+        return self.choose(condition, then, otherwise)
+
     def dot(self, vector: Array, matrix: Array) -> Array:
         """Return the product of a vector and a matrix."""
         return vector.dot(matrix)
@@ -63,6 +70,7 @@ class JaxOperations(Operations):
 
         self.xp = jax.numpy
         self._map = jax.tree.map
+        self._cond = jax.lax.cond
 
     def row(self, table: Array, index: Number) -> Array:
         """Index the table dynamically."""
@@ -75,6 +83,12 @@ class JaxOperations(Operations):
         return self._map(
             lambda one, other: self.xp.where(condition, one, other), then(), otherwise()
         )
+
+    def branch(
+        self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
+    ) -> Any:
+        """Compute one of the two values with ``cond``."""
+        return self._cond(condition, then, otherwise)
 
     def whole(self, number: Number) -> Number:
         """Convert to int32."""

@@ -8,7 +8,7 @@ immutable; `softfin.core.plant_identity` compares them.
 import reprlib
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +62,16 @@ class TrueForcePlant(Plant, Protocol):
     def true_force(self, state: State) -> Float[Array, "2"]:
         """Return the mean force of the fin on its mount over the last tick, (x, y) [N], without
         sensor errors."""
+
+
+@runtime_checkable
+class TorquePlant(Plant, Protocol):
+    """A plant that also provides the torque of its drive, which force feedback can use."""
+
+    def torque(self, state: State) -> Float[Array, "2"]:
+        """Return the mean torque over the last tick [N m]: on the fin about the shaft, and of the
+        motor, which also accelerates the rotor. Positive with the velocity if the drive delivers
+        power."""
 
 
 @runtime_checkable
@@ -172,18 +182,28 @@ def hold_action(
     return repeat(partial(_tick, plant, command=command), state, ticks, rows)
 
 
-def hold_action_with_true_force(
-    plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
-) -> tuple[State, tuple[Reading, Array | None]]:
-    """Hold a command like `hold_action`; also return the true force ``(rows, 2)`` [N], or None if
-    it is unknown."""
-    if not isinstance(plant, TrueForcePlant):
-        state, reading = hold_action(plant, state, command, ticks, rows)
-        return state, (reading, None)
+class Hidden(NamedTuple):
+    """Quantities that a simulated plant knows besides its readings; None if it does not."""
 
-    def tick(state: State) -> tuple[State, tuple[Reading, Array | None]]:
+    true_force: Float[AnyArray, "rows 2"] | None
+    """Mean force of the fin on its mount over each tick [N]."""
+    torque: Float[AnyArray, "rows 2"] | None
+    """Mean torque over each tick, on the fin and of the motor [N m]."""
+
+
+def hold_action_with_hidden(
+    plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
+) -> tuple[State, tuple[Reading, Hidden]]:
+    """Hold a command like `hold_action`; also return what the plant knows besides its readings."""
+    if not isinstance(plant, TrueForcePlant | TorquePlant):
+        state, reading = hold_action(plant, state, command, ticks, rows)
+        return state, (reading, Hidden(None, None))
+
+    def tick(state: State) -> tuple[State, tuple[Reading, Hidden]]:
         state, reading = _tick(plant, state, command)
-        return state, (reading, plant.true_force(state))
+        force = plant.true_force(state) if isinstance(plant, TrueForcePlant) else None
+        torque = plant.torque(state) if isinstance(plant, TorquePlant) else None
+        return state, (reading, Hidden(force, torque))
 
     return repeat(tick, state, ticks, rows)
 

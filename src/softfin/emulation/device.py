@@ -18,6 +18,7 @@ from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
 from softfin.tank import Tank
+from softfin.tank.drive import TORQUE_CONSTANT_NM_A
 
 
 class Emulator(NamedTuple):
@@ -55,11 +56,17 @@ DRIVES = {
             "encoder_lines": 500,
             "gear_ratio": 111.0,
             "following_error_rad": 0.5,
+            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
         },
         lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
     ),
     "dynamixel": Emulator(
-        {"port": "simulated", "model": "XM430-W350", "id": 1},
+        {
+            "port": "simulated",
+            "model": "XM430-W350",
+            "id": 1,
+            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
+        },
         lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
     ),
 }

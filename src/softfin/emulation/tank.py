@@ -13,11 +13,14 @@ from jaxtyping import Float, PyTree
 
 from softfin.core.clock import Clock
 from softfin.core.json_object import JsonObject
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import rest_command
-from softfin.core.quantities import TICK_S, Command, Reading
+from softfin.core.quantities import TICK_S, Command
 from softfin.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
-from softfin.tank.drive import AMPERE_PER_NM
+
+SAMPLE_VALUES = 7
+"""Number of values of a sample: see `_tick`."""
 
 
 class TankFin:
@@ -47,7 +50,9 @@ class TankFin:
         with self._lock:
             plain = self._plain()
             now, tree = jax.tree.flatten((plain, self._before, self._after))
-            held = (*remembered["state"], remembered["before"], remembered["after"])
+            # States of earlier versions lack the torque about the shaft.
+            samples = [[*remembered[name], 0.0][:SAMPLE_VALUES] for name in ("before", "after")]
+            held = (*remembered["state"], *samples)
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
                 raise ValueError("state of a different tank")
@@ -96,14 +101,12 @@ class TankFin:
             if self._latest is None or self._latest[0] != now:
                 self._catch_up()
                 part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
-                angle, velocity, demand, torque, x, y = (
+                angle, velocity, demand, current, x, y, torque = (
                     (1 - part) * self._before + part * self._after
                 ).tolist()
-                wrench = (x, y, 0.0, 0.0, 0.0, 0.0)
-                self._latest = (
-                    now,
-                    FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, wrench),
-                )
+                # The tank has no load out of the plane.
+                wrench = (x, y, 0.0, 0.0, 0.0, torque)
+                self._latest = (now, FinMotion(angle, velocity, demand, current, wrench))
             return self._latest[1]
 
     def _plain(self) -> tuple[PyTree, Command]:
@@ -123,12 +126,17 @@ class TankFin:
 
 
 @jax.jit
-def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 6"]]:
-    """Advance by one sample; return the state and an array of angle, velocity, profile angle,
-    torque and force (x, y)."""
-    state, reading = tank.advance(state, command, 1)
-    read: Reading = jax.tree.map(lambda x: x[0], reading)
-    drive = state.drive
+def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[PyTree, Float[jax.Array, " 7"]]:
+    """Advance by one sample; return the state and an array of angle, velocity, profile angle, motor
+    current, force (x, y) and torque about the shaft."""
+    state, read, loads = tank.measure(state, command)
     return state, jnp.array(
-        [read.angle, read.velocity, drive.profile_angle, drive.torque, *read.force]
+        [
+            read.angle,
+            read.velocity,
+            state.drive.profile_angle,
+            loads[CURRENT_CHANNEL],
+            *read.force,
+            loads[LOAD_CHANNELS[-1]],
+        ]
     )

@@ -12,7 +12,8 @@ import pydantic
 from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller, controller_clock
-from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.family import Family, load_family
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.references import (
     controller_cells,
     default_references,
@@ -79,9 +80,9 @@ class EvaluateConfig(Configuration):
     strict: bool = False
     """Whether unreachable references are errors; otherwise, the nearest reachable force is
     tracked."""
-    trim: DisturbanceObserverConfig | None = None
-    """Force feedback, which subtracts the estimated steady-state error of the controller; None for
-    no feedback."""
+    feedback: FeedbackConfig | None = None
+    """Feedback, which corrects the reference for what has become of the fin; None for no
+    feedback."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces for which the controller was
     trained; None for no random references."""
@@ -164,9 +165,13 @@ class Evaluation:
 
 
 def score_controller(
-    controller: Controller, plant: EvaluationTarget, config: EvaluateConfig
+    controller: Controller,
+    plant: EvaluationTarget,
+    config: EvaluateConfig,
+    family: Family | None = None,
 ) -> Evaluation:
-    """Run and score all experiments; errors are relative to the tracked reference.
+    """Run and score all experiments; errors are relative to the tracked reference. Feedback uses
+    the family of the fin, if there is one.
 
     Raises CoverageError if the controller was not trained for a reference or, with `config.strict`,
     if a reference is unreachable. Raises ConfigurationError if the experiments are too short for
@@ -184,8 +189,8 @@ def score_controller(
     tracked = np.array(references, np.float32)
     # The feedback is added only after the references are resolved, because it must reach the
     # resolved references.
-    if config.trim is not None:
-        controller = DisturbanceObserver(controller, config.trim)
+    if config.feedback is not None:
+        controller = Feedback(controller, config.feedback, family)
     plans = list(plan_moving(controller, config.moving, config.recorded, config.strict))
     keys = config.keys()
     seconds = config.seconds
@@ -321,7 +326,8 @@ def evaluate_controllers(
     evaluations = []
     for index, (path, other) in enumerate(zip(paths, controllers, strict=True)):
         seeded = config.model_copy(update={"seed": config.seed + index})
-        evaluations.append(score_controller(other, target, seeded))
+        family = None if config.feedback is None else load_family(path, other)
+        evaluations.append(score_controller(other, target, seeded, family))
         progress("evaluate", (index + 1) / len(paths), str(path))
     evaluation = evaluations[0] if len(evaluations) == 1 else together(evaluations)
     conditions = {

@@ -25,8 +25,9 @@ from softfin.core.plant import (
     State,
     Ticks,
     drop_padding,
-    hold_action_with_true_force,
+    hold_action_with_hidden,
     masked_mean,
+    rest_command,
 )
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
@@ -59,6 +60,9 @@ class ExperimentRecording(NamedTuple):
     """Force on the mount without sensor errors [N]; None if the plant provides only readings."""
     clock: ActionClock = PAPER_CLOCK
     """Clock of the controller."""
+    estimate: Any = None
+    """Estimates of force feedback after each action ``(references, seeds, actions, ...)``; None
+    without feedback."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
@@ -67,14 +71,16 @@ class ExperimentRecording(NamedTuple):
 
     def first(self) -> "ExperimentRecording":
         """Return the first seed as NumPy arrays; the seed axis remains, with length 1."""
-        command, reading, true_force = jax.tree.map(
-            lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
+        command, reading, true_force, estimate = jax.tree.map(
+            lambda x: np.asarray(x[:, :1]),
+            (self.command, self.reading, self.true_force, self.estimate),
         )
         return self._replace(
             reference=np.asarray(self.reference),
             command=command,
             reading=reading,
             true_force=true_force,
+            estimate=estimate,
         )
 
 
@@ -147,9 +153,13 @@ def run_together(
     recordings = []
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
-        own = jax.tree.map(lambda x, part=part: x[part], recorded)
+        own = jax.tree.map(lambda x, part=part: x[part], recorded[:3])
         command, reading, true_force = own
-        recordings.append(ExperimentRecording(references, command, reading, true_force, clock))
+        acted = (*part[:2], slice(clock.actions_within(seconds * RATE_HZ)))
+        estimate = jax.tree.map(lambda x, acted=acted: x[acted], recorded.estimate)
+        recordings.append(
+            ExperimentRecording(references, command, reading, true_force, clock, estimate)
+        )
         first += len(references)
     return recordings
 
@@ -178,49 +188,85 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     return recording.first() if (force == force[:, :1]).all() else recording
 
 
+Torque: TypeAlias = Float[AnyArray, "rows 2"] | None
+"""Mean torque on the fin and of the motor in each tick [N m]; None if the plant does not compute
+it."""
+
 RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
 """Commands, readings and true forces (None if the plant does not compute them) over a series of
 ticks."""
+
+Held: TypeAlias = tuple[State, tuple[Reading, Torque, Any]]
+"""State after an action; readings, torque and another output of each tick."""
+
+
+class LoopRecording(NamedTuple):
+    """A run of a controller on a plant; all but the estimate have one entry per tick."""
+
+    command: Command
+    reading: Reading
+    output: Any
+    """The output of `hold`."""
+    estimate: Any
+    """What the controller's `estimate` returned after each action; None without this method."""
 
 
 def closed_loop(
     controller: Controller,
     plant: Plant,
-    hold: Callable[[State, Command, Ticks], tuple[State, tuple[Reading, Any]]],
+    hold: Callable[[State, Command, Ticks], Held],
     references: Float[Array, "actions 2"],
     key: PRNGKeyArray,
     clock: ActionClock,
-) -> tuple[Command, Reading, Any]:
+) -> LoopRecording:
     """Run a controller on a plant from rest, with one reference per action.
 
-    `hold` holds a command for an action and returns the state, the readings and an output of its
-    own; both may be padded to the longest action. Returns the command, the readings and this
-    output for each tick.
+    `hold` holds a command for an action; its readings, torques and output may be padded to the
+    longest action.
     """
     actions = len(references)
+    estimate = getattr(controller, "estimate", lambda state: None)
     Carry: TypeAlias = tuple[ControllerState, State, Measured]
     Ticked: TypeAlias = tuple[Command, Reading, Any]
 
-    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Ticked]:
+    def action(
+        carry: Carry, now: tuple[Float[Array, "2"], Ticks]
+    ) -> tuple[Carry, tuple[Ticked, Any]]:
         """Act on the readings taken while the previous action was held."""
         (memory, state, measured) = carry
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
-        state, (reading, output) = hold(state, command, ticks)
-        # Readings are padded to the longest action, so use the last valid angle and average only
-        # over the valid forces.
-        measured = Measured(
-            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
-        )
+        state, (reading, torque, output) = hold(state, command, ticks)
+        measured = _measured(reading, torque, ticks)
         held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
-        return (memory, state, measured), (held, reading, output)
+        return (memory, state, measured), ((held, reading, output), estimate(memory))
 
     # The first action is computed before the first reading, as if the fin were at rest.
-    rest = Measured(jnp.float32(plant.limits.rest_angle), jnp.zeros(2))
-    carry = (controller.init(), plant.init(key), rest)
-    _, kept = jax.lax.scan(action, carry, (references, jnp.asarray(clock.action_ticks(actions))))
-    ticked: Ticked = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
-    return ticked
+    state = plant.init(key)
+    shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
+    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    rest = _measured(reading, torque, 1)
+    rest = rest._replace(angle=jnp.float32(plant.limits.rest_angle))
+    carry = (controller.init(), state, rest)
+    _, (kept, estimates) = jax.lax.scan(
+        action, carry, (references, jnp.asarray(clock.action_ticks(actions)))
+    )
+    command, reading, output = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
+    return LoopRecording(command, reading, output, estimates)
+
+
+def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
+    """Return what a controller measures over an action: the last angle, and means."""
+    # Readings are padded to the longest action, so use the last valid angle and average only over
+    # the valid forces.
+    angle = jnp.asarray(reading.angle)[ticks - 1]
+    force = masked_mean(jnp.asarray(reading.force), ticks)
+    if torque is None:
+        return Measured(angle, force)
+    torque = jnp.asarray(torque)
+    loads = jnp.stack([torque, torque * jnp.asarray(reading.velocity)[:, None]], axis=1)
+    shaft, motor = masked_mean(loads, ticks).T
+    return Measured(angle, force, shaft, motor)
 
 
 @jit("low")
@@ -229,19 +275,21 @@ def _program(
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
     clock: ActionClock,
-) -> RecordedTicks:
+) -> LoopRecording:
     """Run experiments; compiled once for all controllers and plants that differ only in their
     arrays."""
     controller, plant = parties
 
-    def hold(state: State, command: Command, ticks: Ticks) -> tuple[State, tuple[Reading, Any]]:
-        return hold_action_with_true_force(plant, state, command, ticks, clock.max_ticks)
+    def hold(state: State, command: Command, ticks: Ticks) -> Held:
+        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
+        state, (reading, hidden) = held
+        return state, (reading, hidden.torque, hidden.true_force)
 
-    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
+    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
         return closed_loop(controller, plant, hold, asked, key, clock)
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
-    each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
+    each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )
     return each

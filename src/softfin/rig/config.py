@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, PrivateAttr, SerializeAsAny, model_validator
 
+from softfin.control.feedback import FeedbackConfig
 from softfin.core.configuration import Chosen, Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
@@ -25,6 +26,9 @@ class RealFinConfig(Configuration):
     """Name of this fin; datasets, surrogates and controllers inherit it."""
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
+    feedback: FeedbackConfig = FeedbackConfig()
+    """Settings of feedback on this fin, such as the drift of its sensor; feedback itself is an
+    option of the commands."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
     """Rest time before each log or experiment, during which the water calms down [s]."""
 

@@ -13,7 +13,7 @@ time, except that any thread may call `Drive.stop`.
 from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar, Literal, NamedTuple, Protocol
 
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import DeviceError, SoftfinError
@@ -110,6 +110,10 @@ class DriveConfig(DeviceConfig):
     mount can withstand."""
     direction: Literal[1, -1] = 1
     """-1 if the positive direction of the drive corresponds to negative fin angles."""
+    torque_constant_nm_a: PositiveFloat | None = None
+    """Torque at the output shaft per ampere of motor current [N m/A], including the gear ratio and
+    the efficiency of the gear; None if unknown. Without a torque sensor, the torque feedback needs
+    it."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True

@@ -12,11 +12,13 @@ from itertools import count
 from typing import TypeAlias
 
 from softfin.control.controller import Controller, Measured, controller_clock
+from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
+from softfin.rig.shaft_torque import Drive, ShaftTorque
 
 ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
 """Function that returns the reference [N] at a time since the start [s]; called once per action."""
@@ -33,6 +35,8 @@ class ActionResult:
     reference: MeasuredForce
     target: Target
     samples: list[Sample]
+    estimate: Estimate | None = None
+    """What feedback has found; None without feedback."""
 
 
 def run_controller(
@@ -41,21 +45,25 @@ def run_controller(
     references: ReferenceSource,
     actions: int | None = None,
     zero: MeasuredForce = (0.0, 0.0),
+    shaft_torque: ShaftTorque | None = None,
 ) -> Iterator[ActionResult]:
     """Run `actions` actions, or until a stop if it is None; the session must be active and the fin
     at rest.
 
     `zero` [N], measured by `Session.rest`, is subtracted from the forces passed to the controller.
+    `shaft_torque` measures the torques (default: without warnings).
     """
+    shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
     durations = controller_clock(controller).ticks
     state = controller.init()
     angle = (session.newest or session.tick()).angle
     force = (0.0, 0.0)
+    torques: tuple[Drive | None, Drive | None] = (None, None)
     ticks = 0
     for index in count() if actions is None else range(actions):
         try:
             reference = references(ticks / RATE_HZ)
-            state, command = controller.act(state, Measured(angle, force), reference)
+            state, command = controller.act(state, Measured(angle, force, *torques), reference)
             target = Target(float(command.angle), float(command.velocity))
         except Exception as error:
             session.abort(Trip("controller", in_one_line(error, "the controller failed")))
@@ -65,7 +73,9 @@ def run_controller(
         angle = samples[-1].angle
         x, y = mean_force(samples)
         force = (x - zero[0], y - zero[1])
-        yield ActionResult(reference, target, samples)
+        torques = shaft_torque.means(samples)
+        found = controller.estimate(state) if isinstance(controller, Feedback) else None
+        yield ActionResult(reference, target, samples, found)
 
 
 class LiveReference:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from softfin.control.feedback import FeedbackConfig
 from softfin.core.errors import RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import Limits
@@ -19,6 +20,8 @@ class RobotSetup:
     """Name of this fin; None if unknown."""
     settle_s: float = 5.0
     """Rest time before each log or experiment [s]."""
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    """Settings of feedback on this fin."""
     configuration: JsonObject = field(default_factory=dict)
     """Complete configuration for JSON."""
 
@@ -28,6 +31,12 @@ class RobotSetup:
         check = getattr(self.machine, "check_ready", None)
         if check is not None:
             check()
+
+    def feedback_settings(self, asked: FeedbackConfig | None) -> FeedbackConfig | None:
+        """Return the settings of this fin with those that were asked for; None for no feedback."""
+        if asked is None:
+            return None
+        return self.feedback.merged(asked.model_dump(exclude_defaults=True), "feedback")
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
         """Raise RigError if a controller is for a different fin or exceeds the limits of the

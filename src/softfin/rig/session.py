@@ -89,6 +89,8 @@ class Session:
         """Active command."""
         self.newest: Sample | None = None
         """Sample of the latest tick."""
+        self.at_rest: list[Sample] = []
+        """Samples over which `rest` measured the force; empty before the first rest."""
         self.trip: Trip | None = None
         """Reason why the session was stopped."""
         self._until_closed = ExitStack()
@@ -324,7 +326,8 @@ class Session:
                 )
             )
         samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]
-        zero = mean_force(samples[len(samples) // 2 :])
+        self.at_rest = samples[len(samples) // 2 :]
+        zero = mean_force(self.at_rest)
         self._record_event(zero_event(zero))
         return zero
 

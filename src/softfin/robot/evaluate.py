@@ -40,7 +40,7 @@ WINDOWS = 10
 """Number of windows for which each target is held, from rest; errors are computed over the second
 half."""
 
-Held: TypeAlias = tuple[TankState, tuple[Reading, Load]]
+Held: TypeAlias = tuple[TankState, tuple[Reading, None, Load]]
 """State, and readings and loads, after one tick or an action."""
 
 ReportPart: TypeAlias = Callable[[float, str], None]
@@ -238,13 +238,12 @@ def _loads(
     def hold(state: TankState, command: Command, ticks: Ticks) -> Held:
         def tick(state: TankState) -> Held:
             state, reading, load = tank.tick(state, command)
-            return state, (reading, load)
+            return state, (reading, None, load)
 
         return repeat(tick, state, ticks, clock.max_ticks)
 
     def one(references: Float[Array, "actions 2"], key: PRNGKeyArray) -> Load:
-        loads: Load
-        _, _, loads = closed_loop(controller, tank, hold, references, key, clock)
+        loads: Load = closed_loop(controller, tank, hold, references, key, clock).output
         return loads
 
     loads: Load = jax.vmap(jax.vmap(one), in_axes=(0, None))(references, keys)

@@ -134,6 +134,74 @@ def map_forces(
     return Result(values, f"{_describe_map(values)}\n{next_step(out, plant)}")
 
 
+def family(
+    controller: Annotated[PathLike, CONTROLLER],
+    *,
+    plant: Annotated[PlantLike, PLANT] = "tank",
+    config: Config = None,
+    progress: Annotated[Progress, HIDDEN] = silent,
+) -> Result:
+    """Find the family of a fin: what stiffness, drag, the servo and others that change do to the
+    forces of a controller, and to everything that can be measured.
+
+    Feedback uses it to know from the torque and the force within seconds what has become of the
+    fin. It is written into the folder of the controller.
+
+    Args:
+        controller: Controller folder.
+        plant: The fin: tank, or a tank YAML file such as the one that softfin calibrate writes.
+        config: `FamilyConfig`; its fields are options too, such as --fins 100.
+        progress: Function that is called with the progress.
+
+    Returns:
+        The changes of the mean force that the family spans, and what it does not explain.
+
+    Example:
+        >>> softfin.family("gaits", plant="calibration/tank.yaml")
+    """
+    path = Path(controller)
+    artifacts.find_description(path, "controller")
+    check_plant(plant)
+    import numpy as np
+
+    from softfin.control.family import FAMILY_KIND, save_family
+    from softfin.control.store import load_controller
+    from softfin.core.plant_identity import identity
+    from softfin.evaluation.find_family import FamilyConfig, find_family
+    from softfin.storage.registry import find_plant
+    from softfin.tank import Tank
+
+    loaded = load_controller(path)
+    settings = configure(FamilyConfig(), config)
+    fin = find_plant(plant)
+    if not isinstance(fin, Tank):
+        raise ConfigurationError(
+            f"--plant {plant}: must be tank or a tank YAML file, because only the parameters of a "
+            "tank can be changed; run softfin calibrate to fit a tank to your logs"
+        )
+    found = find_family(loaded, fin, settings, progress)
+    keys = {
+        "configuration": settings.model_dump(mode="json"),
+        "provenance": artifacts.provenance(plant=plant_name(plant), plant_identity=identity(fin)),
+    }
+    save_family(path, loaded, found, keys)
+    spanned_n = float(np.sqrt((found.force**2).sum(axis=2).mean()))
+    unexplained_n = float(np.sqrt((found.force_noise**2).mean()))
+    values = {
+        "family": str(path / FAMILY_KIND),
+        "fins": settings.fins,
+        "coefficients": settings.coefficients,
+        "spanned_n": round(spanned_n, 4),
+        "unexplained_n": round(unexplained_n, 4),
+    }
+    text = (
+        f"{values['family']}: {settings.fins} fins; their mean forces differ by {spanned_n:.2g} N "
+        f"(rms), of which {settings.coefficients} coefficients leave {unexplained_n:.1g} N\n"
+        f"next: softfin evaluate {path} --plant {plant_name(plant)} --feedback"
+    )
+    return Result(values, text)
+
+
 def _describe_map(values: JsonObject) -> str:
     from softfin.gaits.reachable import force_decimals
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import UNFAMILIAR, Estimate, Feedback, FeedbackConfig
 from softfin.control.references import resolve_reference
-from softfin.control.store import load_controller
-from softfin.core.configuration import configure
+from softfin.control.store import load_controller, load_feedback
+from softfin.core.configuration import Configuration, configure
 from softfin.core.errors import ConfigurationError, RigError, SafetyStop
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
@@ -40,6 +40,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Observer, Session, mean_force
+from softfin.rig.shaft_torque import ShaftTorque
 from softfin.rig.stop import StopRequest
 from softfin.stages.machines import find_robot
 from softfin.storage import artifact as artifacts
@@ -48,15 +49,24 @@ from softfin.storage.paths import check_reference_file
 STOP_KEY = "press Enter alone to stop the fin"
 
 
+class RunConfig(Configuration):
+    """Configuration of a run."""
+
+    feedback: FeedbackConfig | None = None
+    """Feedback, which corrects the reference for what has become of the fin; None for no
+    feedback."""
+
+
 class Drive(NamedTuple):
     """A controller for a real fin, with the duration and the file of the recording."""
 
     controller: LoadedController
+    acting: LoadedController | Feedback
+    """The controller, with feedback if it was asked for."""
     robot: RobotSetup
     arming: Arming
     seconds: int | None
     bag: Path | None
-    trim: bool
 
     @classmethod
     def prepare(
@@ -66,7 +76,7 @@ class Drive(NamedTuple):
         arming: Arming,
         seconds: int | None,
         bag: PathLike | None,
-        trim: bool,
+        feedback: FeedbackConfig | None,
         overwrite: bool,
     ) -> "Drive":
         """Load the controller and the machine and check that they match; nothing is opened yet."""
@@ -82,7 +92,9 @@ class Drive(NamedTuple):
         loaded = load_controller(Path(controller))
         robot = find_robot(plant)
         robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
-        return cls(loaded, robot, arming, seconds, bag, trim)
+        settings = robot.feedback_settings(feedback)
+        acting = load_feedback(Path(controller), loaded, settings)
+        return cls(loaded, acting, robot, arming, seconds, bag)
 
     def run(
         self,
@@ -141,14 +153,16 @@ class Drive(NamedTuple):
     ) -> None:
         """Run the controller and show its state every second; `summary` receives the errors over
         the last window."""
-        controller = DisturbanceObserver(self.controller) if self.trim else self.controller
+        controller = self.acting
         reachable = controller.reachable
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
         window: list[ActionResult] = []
         ticks = printed = 0
+        was_strange = False
         clock = controller.clock
         actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
-        for result in run_controller(session, controller, references, actions, zero):
+        torque = ShaftTorque(session, say, isinstance(controller, Feedback))
+        for result in run_controller(session, controller, references, actions, zero, torque):
             window = [*window, result][-clock.window_actions :]
             x, y = mean_force([sample for each in window for sample in each.samples])
             x = x - zero[0]
@@ -162,6 +176,8 @@ class Drive(NamedTuple):
                     f"{ticks / RATE_HZ:7.1f} s  target ({reference}) N  mean ({mean}) N  "
                     f"angle {result.samples[-1].angle:+.2f} rad"
                 )
+                if result.estimate is not None:
+                    line += f"  {_described_estimate(result.estimate, decimals + 1)}"
                 try:
                     STATUS.show(line, f"{keys}: ")
                 except OSError as error:
@@ -169,6 +185,12 @@ class Drive(NamedTuple):
                     session.stop_request.ask(
                         "emergency_stop", f"the output is no longer being read ({error.strerror})"
                     )
+            if result.estimate is not None:
+                summary |= _estimate_summary(result.estimate)
+                is_strange = summary["level"] > UNFAMILIAR
+                if is_strange and not was_strange:
+                    say(UNFAMILIAR_NOTE)
+                was_strange = is_strange
             errors = [
                 abs(mean - asked) for mean, asked in zip((x, y), result.reference, strict=True)
             ]
@@ -178,6 +200,29 @@ class Drive(NamedTuple):
                 "error_x_n": round(errors[0], 4),
                 "error_y_n": round(errors[1], 4),
             }
+
+
+UNFAMILIAR_NOTE = (
+    "feedback: the fin does not move as any fin of its family; check for damage, weed, a blocked "
+    "shaft and a loose sensor"
+)
+
+
+def _described_estimate(estimate: Estimate, decimals: int) -> str:
+    """Return the true mean force that feedback expects, with its 90% interval."""
+    parts = zip(estimate.force, estimate.half_width, strict=True)
+    force = ", ".join(f"{mean:+.{decimals}f} +- {half:.{decimals}f}" for mean, half in parts)
+    return f"true ({force}) N"
+
+
+def _estimate_summary(estimate: Estimate) -> JsonObject:
+    """Return the entries of the summary about what feedback has found."""
+    return {
+        "true_force_n": [round(float(force), 4) for force in estimate.force],
+        "half_width_n": [round(float(half), 4) for half in estimate.half_width],
+        "drift_n": [round(float(drift), 4) for drift in estimate.drift],
+        "level": round(float(estimate.level), 2),
+    }
 
 
 @contextlib.contextmanager
@@ -212,7 +257,8 @@ def run(
     seconds: int | None = None,
     bag: Annotated[PathLike | None, FILE] = None,
     strict: bool = False,
-    trim: bool = False,
+    feedback: bool = False,
+    config: Config = None,
     arm: bool = False,
     yes: bool = False,
     overwrite: bool = False,
@@ -228,7 +274,8 @@ def run(
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        feedback: Add feedback from force and torque, which corrects the steady-state error.
+        config: `RunConfig`; its fields are options too, such as --feedback.uses force.
         arm: Allow the real fin to move, after you confirm on the terminal.
         yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
             fin.
@@ -240,11 +287,14 @@ def run(
     Raises:
         SafetyStop: If the fin was stopped.
     """
+    settings = configure(RunConfig(), config, feedback={} if feedback else None)
     if (reference is None) == (reference_file is None):
         raise ConfigurationError("use either --reference=X,Y or --reference-file FILE")
     if reference_file is not None:
         check_reference_file(Path(reference_file))
-    drive = Drive.prepare(controller, plant, Arming(arm, yes), seconds, bag, trim, overwrite)
+    drive = Drive.prepare(
+        controller, plant, Arming(arm, yes), seconds, bag, settings.feedback, overwrite
+    )
 
     def resolve(force: Force) -> tuple[Force, str | None]:
         return resolve_reference(drive.controller, force, strict)
@@ -273,7 +323,7 @@ def ros2(
     seconds: int | None = None,
     bag: Annotated[PathLike | None, FILE] = None,
     strict: bool = False,
-    trim: bool = False,
+    feedback: bool = False,
     config: Config = None,
     connection: Annotated[TransportConfig | None, CONNECTION] = None,
     arm: bool = False,
@@ -294,7 +344,7 @@ def ros2(
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        feedback: Add feedback from force and torque, which corrects the steady-state error.
         config: `NodeConfig`; its fields are options too.
         connection: How to reach other nodes.
         arm: Allow the real fin to move, after you confirm on the terminal.
@@ -312,8 +362,15 @@ def ros2(
     from softfin.rig.ros2.plant import Ros2Machine, open_transport
 
     defaults = NodeConfig() if fin is None else NodeConfig.of_fin(fin)
-    topics = configure(defaults, config, connection=typed_fields(connection))
-    drive = Drive.prepare(controller, plant, Arming(arm, yes), seconds, bag, trim, overwrite)
+    topics = configure(
+        defaults,
+        config,
+        connection=typed_fields(connection),
+        feedback={} if feedback else None,
+    )
+    drive = Drive.prepare(
+        controller, plant, Arming(arm, yes), seconds, bag, topics.feedback, overwrite
+    )
     machine = drive.robot.machine
     if machine_clock(machine).is_simulated:
         raise RigError(

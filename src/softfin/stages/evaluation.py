@@ -41,7 +41,7 @@ def evaluate(
     repeats: int | None = None,
     seed: int | None = None,
     strict: bool = False,
-    trim: bool = False,
+    feedback: bool = False,
     randomize: float | None = None,
     random: int | None = None,
     config: Config = None,
@@ -66,7 +66,8 @@ def evaluate(
         repeats: Repetitions of each experiment (default: 5).
         seed: Seed for the plant noise (default: 0).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        trim: Add force feedback, which removes the steady-state error of the measured mean force.
+        feedback: Add feedback from force and torque, which corrects the steady-state error; its
+            settings are options, such as --feedback.uses force.
         randomize: Perturb the parameters of the tank in each repetition, by up to this fraction.
         random: Also evaluate this many random references within the reachable part of the training
             range.
@@ -81,7 +82,7 @@ def evaluate(
         The contents of evaluation.json.
 
     Example:
-        >>> softfin.evaluate("gaits", plant="tank", out="evaluation", trim=True)
+        >>> softfin.evaluate("gaits", plant="tank", out="evaluation", feedback=True)
     """
     check_seed(seed)
     if reference_file is not None:
@@ -116,8 +117,8 @@ def evaluate(
         strict=strict or None,
         random=random,
     )
-    if trim and settings.trim is None:
-        settings = settings.merged({"trim": {}}, "--trim")
+    if feedback and settings.feedback is None:
+        settings = settings.merged({"feedback": {}}, "--feedback")
     if is_real and out is not None:
         from softfin.rig.arming import Arming, KeyboardStop, say
         from softfin.stages.live import evaluate_live

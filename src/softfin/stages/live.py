@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller, controller_clock
-from softfin.control.disturbance_observer import DisturbanceObserver
-from softfin.control.store import load_controller
+from softfin.control.store import load_controller, load_feedback
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, VOLTAGE_CHANNEL
@@ -39,6 +38,7 @@ from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
 from softfin.rig.session import MeasuredForce, Session, Warn
+from softfin.rig.shaft_torque import ShaftTorque
 from softfin.rig.stop import StopRequest
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
@@ -177,14 +177,15 @@ def evaluate_live(
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
-    acting: Controller = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
+    acting = load_feedback(controller, loaded, robot.feedback_settings(config.feedback))
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = find_bags(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop, warn=warn) as session:
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            target = LiveFin(session, acting, robot, progress)
+            torque = ShaftTorque(session, warn, config.feedback is not None)
+            target = LiveFin(session, acting, robot, progress, torque)
             metadata = {"plant": str(target), "randomization": None}
             return evaluate_controllers(
                 [controller], target, config, out, metadata, overwrite=overwrite
@@ -195,7 +196,12 @@ class LiveFin:
     """A real fin and its controller, as a `RealTime` target of an evaluation."""
 
     def __init__(
-        self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress
+        self,
+        session: Session,
+        controller: Controller,
+        robot: RobotSetup,
+        progress: Progress,
+        shaft_torque: ShaftTorque,
     ) -> None:
         self.limits = Limits(*robot.machine.limits)
         self._session = session
@@ -203,6 +209,7 @@ class LiveFin:
         self._controller = controller
         self._robot = robot
         self._progress = progress
+        self._shaft_torque = shaft_torque
 
     def __str__(self) -> str:
         return self._robot.machine.name
@@ -242,6 +249,7 @@ class LiveFin:
                 reference,
                 self._clock.actions_within(seconds * RATE_HZ),
                 zero,
+                self._shaft_torque,
             )
         )
         samples = [first, *(sample for result in results for sample in result.samples)]

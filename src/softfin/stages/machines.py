@@ -30,14 +30,19 @@ def find_robot(name: str) -> RobotSetup:
     if kind == "rig":
         rig = load_rig(path)
         values = rig.model_dump(mode="json")
-        return RobotSetup(find_rig(rig), rig.safety, rig.fin, rig.settle_s, values)
+        return RobotSetup(find_rig(rig), rig.safety, rig.fin, rig.settle_s, rig.feedback, values)
     if kind == "ros2":
         from softfin.rig.ros2.plant import Ros2Machine
 
         ros2 = load_ros2(path)
         machine = Ros2Machine(ros2.topics)
         return RobotSetup(
-            machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json")
+            machine,
+            ros2.safety,
+            ros2.fin,
+            ros2.settle_s,
+            ros2.feedback,
+            ros2.model_dump(mode="json"),
         )
     raise RigError(
         f"plant {name}: not a real fin; use {' or '.join(LIVE)}, optionally with :FILE; "

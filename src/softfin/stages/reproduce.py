@@ -360,9 +360,9 @@ def _list_evaluations(
         parts.append(("evaluation-trimmed", plant, moving, True))
     if surrogate != plant:
         parts.append(("evaluation-in-surrogate", surrogate, asked, False))
-    for folder, place, config, trim in parts:
+    for folder, place, config, feedback in parts:
         where = {surrogate: "the surrogate", TANK: "the virtual tank"}.get(place, place)
-        feedback = ", with force feedback (--trim)" if trim else ""
+        ending = ", with force feedback (--feedback)" if feedback else ""
         for kind, paths in controllers.items():
             result = out / folder / kind
             # Policies differ in their training seeds, whereas evaluations of gaits differ in the
@@ -371,9 +371,9 @@ def _list_evaluations(
             work = partial(evaluate, *paths, plant=place, config=config, repeats=repeats)
             yield Stage(
                 f"{folder} {kind}",
-                f"evaluation of the controller {kind} in {where}{feedback}",
+                f"evaluation of the controller {kind} in {where}{ending}",
                 result,
-                partial(work, out=result, trim=trim),
+                partial(work, out=result, feedback=feedback),
             )
 
 
@@ -497,7 +497,7 @@ def _describe(out: Path, results: "RunResults") -> Result:
     plant = results["plant"]
     evaluated = {
         f"On {plant}": results["controllers"],
-        "The same, with force feedback (--trim)": results["trimmed"],
+        "The same, with force feedback (--feedback)": results["trimmed"],
         "The same, in the surrogate used for training": results["in_surrogate"],
     }
     for title, summaries in evaluated.items():

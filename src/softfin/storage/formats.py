@@ -15,6 +15,7 @@ FOLDERS: Mapping[str, int] = {
     "inspection": 1,
     "surrogate": 1,
     "controller": 3,
+    "family": 1,
     "evaluation": 2,
     "calibration": 1,
     "reproduction": 1,

@@ -27,9 +27,12 @@ from softfin.tank.sensor import config_arrays, to_multiple
 DEAD_TICKS = 20
 """Maximum dead time [10 ms]."""
 
-AMPERE_PER_NM = 1 / (111 * 0.0259)
-"""Motor current divided by torque at the fin [A/(N m)], for an assumed gear ratio of 111:1 and a
-torque constant of 25.9 mN m/A."""
+TORQUE_CONSTANT_NM_A = 111 * 0.0259
+"""Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a
+torque constant of 25.9 mN m/A of the motor."""
+
+AMPERE_PER_NM = 1 / TORQUE_CONSTANT_NM_A
+"""Its inverse [A/(N m)]."""
 
 
 class DriveConfig(Configuration):

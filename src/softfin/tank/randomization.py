@@ -10,7 +10,7 @@ from typing import TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
@@ -173,6 +173,12 @@ class RandomizedTank(eqx.Module):
         """Return the mean force of the fin on its mount over the last tick [N]."""
         tank, inner = state
         return tank.true_force(inner)
+
+    def torque(self, state: RandomizedTankState) -> Float[Array, "2"]:
+        """Return the mean torque over the last tick on the fin about the shaft, and of the motor
+        [N m]."""
+        tank, inner = state
+        return tank.torque(inner)
 
     def advance(
         self, state: RandomizedTankState, command: Command, ticks: int

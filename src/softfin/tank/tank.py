@@ -54,6 +54,9 @@ class TankState(NamedTuple):
     sensor: SensorState
     force: PlanarVector
     """True mean force (x, y) on the mount over the last tick [N]."""
+    torque: Float[Array, "2"]
+    """Mean torque over the last tick [N m]: on the fin about the shaft, and of the motor, which
+    also accelerates the rotor. Positive with the velocity if the drive delivers power."""
     key: PRNGKeyArray
     """Key for the sensor noise."""
 
@@ -106,6 +109,7 @@ class Tank(eqx.Module):
             self.water.rest(),
             sensor,
             jnp.zeros_like(sensor.drift),
+            jnp.zeros_like(sensor.drift),
             noise,
         )
 
@@ -128,23 +132,22 @@ class Tank(eqx.Module):
         """Hold a command for one tick, like `advance`; also return torque and current as log
         channels, without sensor errors."""
         check_commands(self.limits, command)
-        after, reading, load = self.tick(state, command)
-        # The motor also accelerates the rotor, whose torque does not reach the fin. The load has
-        # the sign of the shaft angle, which is positive about -z.
-        rotor = self.drive.inertia * (after.drive.rate - state.drive.rate) / TICK_S
-        torque = -load.torque
+        after, reading, _load = self.tick(state, command)
+        torque, motor_torque = after.torque
         return (
             after,
             reading,
-            {
-                LOAD_CHANNELS[-1]: torque,
-                CURRENT_CHANNEL: AMPERE_PER_NM * (torque + rotor),
-            },
+            {LOAD_CHANNELS[-1]: torque, CURRENT_CHANNEL: AMPERE_PER_NM * motor_torque},
         )
 
     def true_force(self, state: TankState) -> PlanarVector:
         """Return the mean force on the mount over the last tick, without sensor errors [N]."""
         return state.force
+
+    def torque(self, state: TankState) -> Float[Array, "2"]:
+        """Return the mean torque over the last tick on the fin about the shaft, and of the motor
+        [N m]."""
+        return state.torque
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
         """Return the positions of the shaft and the outer end of each plate in tank axes [m]."""
@@ -199,11 +202,13 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The reaction of the motor torque on the housing, without the part that accelerates the
-        # rotor.
-        torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
+        # The motor also accelerates the rotor, whose torque does not reach the fin. The mount
+        # carries the reaction.
+        motor_torque = torques.mean()
+        torque = motor_torque - self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S
+        both = jnp.stack([torque, motor_torque])
         return (
-            TankState(ticks, drive, fin, flow, sensor, force, state.key),
+            TankState(ticks, drive, fin, flow, sensor, force, both, state.key),
             reading,
-            Load(force, torque),
+            Load(force, -torque),
         )

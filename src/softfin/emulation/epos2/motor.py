@@ -114,8 +114,8 @@ class EmulatedMotor:
 
     @property
     def current(self) -> int:
-        """Motor current [mA]."""
-        return round(1000 * self._fin.now().current)
+        """Motor current [mA], positive in the positive direction of the drive."""
+        return self._units.direction * round(1000 * self._fin.now().current)
 
     @property
     def is_target_reached(self) -> bool:

@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from softfin.control.feedback import FeedbackConfig
 from softfin.core.choices import TransportName
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
@@ -88,6 +89,9 @@ class NodeConfig(Configuration):
     """Maximum reference on either axis [N]; larger ones are rejected. None: 20 N for a fin like the
     paper's, in proportion to the size of other fins, and at least the range of the controller."""
 
+    feedback: FeedbackConfig | None = None
+    """Feedback, which corrects the reference for what has become of the fin; None for no
+    feedback."""
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """Connection to other nodes."""
 

@@ -101,6 +101,11 @@ def test_a_lost_acknowledge_is_asked_for_again() -> None:
 def test_directions_and_offsets_agree_with_the_emulated_fin(direction: int) -> None:
     with enabled(direction=direction) as made:
         made.drive.command(Target(0.4, 3.0))
+        assert made.until(lambda: abs(made.fin.now().angle - 0.1) < 0.01)
+        assert made.drive.sync_and_read(0.1).current == pytest.approx(
+            made.fin.now().current, abs=1e-3
+        )
+        assert made.emulated.motor.current * direction > 0
         assert made.until(lambda: abs(made.fin.now().angle - 0.4) < 1e-3)
         assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.4, abs=1e-3)
 

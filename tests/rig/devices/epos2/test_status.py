@@ -28,6 +28,12 @@ def test_process_data_is_decoded_from_golden_bytes() -> None:
     assert status.time == 1.5
 
 
+def test_a_drive_that_turns_the_other_way_has_the_current_of_the_fins_direction() -> None:
+    status = DriveStatus(NODE, UNITS._replace(direction=-1))
+    status.take(0x285, bytes.fromhex("6afffffff401"), 0.0)
+    assert (status.velocity, status.current) == (150, -0.5)
+
+
 def test_a_new_sync_makes_everything_old_and_counts_what_is_missing() -> None:
     status = DriveStatus(NODE, UNITS)
     status.synchronise(0.5)

@@ -53,7 +53,7 @@ class DriveStatus:
         self.velocity = 0.0
         """Fin angular velocity [rad/s]."""
         self.current = 0.0
-        """Motor current [A]."""
+        """Motor current [A], positive in the positive direction of the fin."""
         self.answered = 0
         """One bit per TPDO received since the last SYNC."""
         self.sync_time = 0.0
@@ -154,8 +154,8 @@ class DriveStatus:
                 self.limited_since = now
         elif which == 1:
             self.velocity = self._units.velocity(values[0])
-            # The drive sends the current in mA.
-            self.current = values[1] / 1000
+            # The drive sends the current in mA, positive in its own positive direction.
+            self.current = self._units.direction * values[1] / 1000
         else:
             self.demand = self._units.angle(values[0])
         self.answered |= 1 << which

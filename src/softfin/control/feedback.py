@@ -1,0 +1,515 @@
+"""Feedback around any controller: estimate what has become of the fin and of the sensor, and
+correct the reference for the fin only.
+
+A softer fin, colder water or a slower servo changes the mean force at every reference; a drifting
+sensor changes the reading only. A Kalman filter estimates both, and nuisances, from one window of
+the clock at a time. Its state, in units of the prior standard deviation:
+
+    c   coefficients of the family of the fin (`softfin.control.family`): a random walk from 0
+    r   rest of the controller's force error, an affine function of the reference: constant, so
+        returning to a reference does not make it uncertain again
+    d   drift of the force sensor since it was zeroed: an Ornstein-Uhlenbeck process from 0
+    f   Coulomb friction of the drive, and error of the torque constant
+
+The measurements of a window are its mean force, and for each of its actions the deviation of the
+force from this mean, the angle of the shaft, the torque on the fin, and the torque of the motor;
+whatever is missing has no weight. Windows do not overlap, so their noise is independent.
+
+What tells the fin from the sensor is the pattern within the window: a changed fin changes the
+forces, angles and torques of the actions relative to each other, and drift does not. Without a
+family there is no such pattern, and only time separates r from d: r exists from the start, and d
+grows as the prior allows.
+
+If the innovations are much larger than expected, the fin has changed suddenly: the coefficients
+become as uncertain as at the start. If no coefficients explain the pattern, the fin is not of the
+family (torn, blocked, weed): its noise is raised to the level found, so the window mean decides,
+r becomes uncertain again, and `Estimate.level` tells.
+
+The corrected reference r' solves r' + bias(r') = r by fixed-point iteration, within the
+controller's cells and the reachable forces.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import NonNegativeFloat, PositiveFloat
+
+from softfin.control.controller import (
+    STATIC,
+    Controller,
+    Measured,
+    controller_clock,
+)
+from softfin.control.family import FEATURES, FORCES, LOADS, MOTOR, Family
+from softfin.control.references import controller_cells, reachable_set
+from softfin.core.action_clock import ActionClock
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
+from softfin.core.quantities import Command, Limits
+from softfin.gaits.reachable import PAPER_REACH_N, Cells, ForceVector, Reachable, cell_corners
+
+HALF_90 = 1.645
+"""Half-width of the 90% interval of a normal distribution, in standard deviations."""
+
+FIXED_POINT_STEPS = 2
+"""Number of steps of the fixed-point iteration per action."""
+
+REPEATED = 20.0
+"""Factor on the variance that the family does not explain, in windows at a reference that was
+already used: what it does not explain is the same there, so it does not average out."""
+
+NEW_REFERENCE = 0.1
+"""Distance from the last used reference at which a window counts as new, as a fraction of the reach
+[-]."""
+
+SUDDEN = 3.0
+"""Mean square of the normalized innovations above which the fin has changed suddenly."""
+
+UNFAMILIAR = 6.0
+"""`Estimate.level` above which the fin is not of the family."""
+
+WHITE_NOISE = np.array([0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01])
+"""Noise of the features that does not depend on the fin: force [N], angle [rad], and torques and
+powers as a fraction of their spread [-]."""
+
+FRICTION_SHARE = 0.1
+"""Prior standard deviation of the friction, as a fraction of the spread of the motor torque [-]."""
+
+
+class FeedbackConfig(Configuration):
+    """Configuration of the feedback. A null force is the value for the paper's fin, scaled by the
+    size of the fin."""
+
+    uses: Literal["force", "torque", "both"] = "both"
+    """Measurements that the feedback may use, besides the angle; both: whichever are there. Torque
+    requires a family."""
+    bias_n: PositiveFloat | None = None
+    """Prior standard deviation of the force error of the controller that is not due to changes of
+    the fin [N]; null: 0.1 N, scaled."""
+    drift_n: NonNegativeFloat = 0.05
+    """Standard deviation of the sensor drift without zeroing [N]; belongs to the sensor, so it is
+    not scaled. If it is 0, every error is attributed to the fin."""
+    drift_s: PositiveFloat = 300.0
+    """Time constant of the drift [s]."""
+    rest_n: PositiveFloat | None = None
+    """Standard deviation of the force error that is neither due to the fin nor affine in the
+    reference [N]; null: 0.02 N, scaled."""
+    noise_n: PositiveFloat | None = None
+    """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.02
+    N, scaled."""
+    change_s: PositiveFloat = 1500.0
+    """Time in which the coefficients of a slowly changing fin change by their standard deviation
+    over fins [s]."""
+    torque_scale: NonNegativeFloat = 0.1
+    """Prior standard deviation of the relative error of the torque constant [-]."""
+    limit_n: PositiveFloat | None = None
+    """Maximum correction per axis [N]; null: 1 N, scaled."""
+
+
+class FeedbackForces(NamedTuple):
+    """Configured forces for one fin; the defaults were tuned on the paper's fin."""
+
+    bias_n: float = 0.1
+    rest_n: float = 0.02
+    noise_n: float = 0.02
+    limit_n: float = 1.0
+
+    @classmethod
+    def for_fin(cls, config: FeedbackConfig, size: float) -> "FeedbackForces":
+        """Return the configured forces; the defaults are scaled by the size of the fin."""
+        forces = cls(*(size * force for force in cls()))
+        return forces._replace(**config.model_dump(include=set(cls._fields), exclude_none=True))
+
+
+class Estimate(NamedTuple):
+    """What the feedback has found."""
+
+    force: Array
+    """True mean force at the corrected reference (x, y) [N]."""
+    half_width: Array
+    """Half-width of its 90% interval (x, y) [N]."""
+    drift: Array
+    """Drift of the sensor since it was zeroed (x, y) [N]."""
+    level: Number
+    """Mean square of what the family does not explain, relative to its expected value [-]; the fin
+    is not of the family above `UNFAMILIAR`."""
+
+
+class FeedbackState(NamedTuple):
+    """State of the feedback and the inner controller; series are oldest first."""
+
+    mean: Array
+    """Estimated state of the filter."""
+    covariance: Array
+    inner: Any
+    """State of the inner controller."""
+    seen: Array
+    """Features of the last actions ``(actions, features)``; NaN if not measured."""
+    tracked: Array
+    """Corrected references of the last actions and of the next one [N]."""
+    references: Array
+    """Uncorrected references of the last actions and of the next one [N]."""
+    used: Array
+    """Corrected reference of the last used window [N]."""
+    level: Number
+    """As in `Estimate`."""
+    age: Number
+    """Number of actions since the start."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """A controller with feedback around an inner controller; both implement `Controller`."""
+
+    controller: Any
+    """The inner controller, a `Controller`."""
+    config: FeedbackConfig = field(default=FeedbackConfig(), metadata=STATIC)
+    family: Family | None = None
+    """Family of the fin; None to use only the mean force."""
+    newtons: FeedbackForces | None = field(default=None, metadata=STATIC)
+    """Configured forces; None: the forces for the reach of the inner controller."""
+    reach_n: float = field(default=0.0, metadata=STATIC)
+    """Scale of the references [N]; 0: the reach of the inner controller."""
+
+    def __post_init__(self) -> None:
+        if self.family is None and self.config.uses == "torque":
+            raise ConfigurationError(
+                "feedback.uses = torque: needs the family of the fin; run softfin family CONTROLLER"
+            )
+        # JAX recreates the object inside a compiled program, where the reach has no value; the
+        # forces are already set by then.
+        if self.newtons is None:
+            reachable = self.reachable
+            size = 1.0 if reachable is None else reachable.size
+            reach_n = PAPER_REACH_N if reachable is None else reachable.reach_n
+            object.__setattr__(self, "newtons", FeedbackForces.for_fin(self.config, size))
+            object.__setattr__(self, "reach_n", reach_n)
+
+    @property
+    def clock(self) -> ActionClock:
+        """Clock of the inner controller."""
+        return controller_clock(self.controller)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the inner controller."""
+        limits: Limits = self.controller.limits
+        return limits
+
+    @property
+    def cells(self) -> Cells:
+        """Cells of the inner controller."""
+        return controller_cells(self.controller)
+
+    @property
+    def reachable(self) -> Reachable | None:
+        """Reachable forces of the inner controller, if known."""
+        return reachable_set(self.controller)
+
+    @cached_property
+    def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None if the controller covers
+        every reference."""
+        return cell_corners(self.cells) if self.cells else None
+
+    @property
+    def coefficients(self) -> int:
+        """Number of coefficients of the family."""
+        return 0 if self.family is None else self.family.coefficients
+
+    def init(self) -> FeedbackState:
+        """Return the state for a fin at rest whose sensor has just been zeroed."""
+        controller: Controller = self.controller
+        actions = self.clock.window_actions
+        coefficients = self.coefficients
+        variances = np.ones(coefficients + 10)
+        # The sensor has just been zeroed.
+        variances[coefficients + 6 : coefficients + 8] = 0.0
+        return FeedbackState(
+            mean=np.zeros(coefficients + 10),
+            covariance=np.diag(variances),
+            inner=controller.init(),
+            seen=np.full((actions, len(FEATURES)), np.nan),
+            tracked=np.zeros((actions + 1, 2)),
+            references=np.zeros((actions + 1, 2)),
+            used=np.full(2, np.inf),
+            level=1.0,
+            age=0,
+        )
+
+    def act(
+        self, state: FeedbackState, measured: Measured, reference: Array
+    ) -> tuple[FeedbackState, Command]:
+        """Run the inner controller on the corrected reference."""
+        ops = select_operations(*measured[:2], reference, state.mean)
+        xp = ops.xp
+        reference = xp.asarray(reference)
+        missing = np.full(2, np.nan)
+        shaft = missing if measured.shaft is None else measured.shaft
+        motor = missing if measured.motor is None else measured.motor
+        now = xp.asarray([*measured.force, measured.angle, *shaft, *motor])
+        seen = xp.concatenate([state.seen[1:], now[None]])
+        actions = self.clock.window_actions
+        ends_window = (state.age % actions == 0) & (state.age > 0)
+        mean, covariance, used, level = ops.branch(
+            ends_window,
+            lambda: self._update(ops, state, seen),
+            lambda: (state.mean, state.covariance, state.used, state.level),
+        )
+        tracked = reference + state.tracked[-1] - state.references[-1]
+        for _ in range(FIXED_POINT_STEPS):
+            tracked = self._trackable(ops, reference, reference - self._bias(ops, mean, tracked))
+        inner, command = self.controller.act(
+            state.inner, measured, tuple(tracked.tolist()) if ops is NUMPY else tracked
+        )
+        return FeedbackState(
+            mean=mean,
+            covariance=covariance,
+            inner=inner,
+            seen=seen,
+            tracked=xp.concatenate([state.tracked[1:], tracked[None]]),
+            references=xp.concatenate([state.references[1:], reference[None]]),
+            used=used,
+            level=level,
+            age=state.age + 1,
+        ), command
+
+    def estimate(self, state: FeedbackState) -> Estimate:
+        """Return what the feedback has found, for the reference of the last action."""
+        ops = select_operations(state.mean)
+        xp = ops.xp
+        tracked = state.tracked[-1]
+        rows = self._bias_rows(ops, tracked)
+        assert self.newtons is not None
+        variance = ((rows @ state.covariance) * rows).sum(axis=1) + self.newtons.rest_n**2
+        if self.family is not None:
+            variance = variance + ops.constant(self.family.force_noise) ** 2
+        coefficients = self.coefficients
+        drift = math.sqrt(2) * self.config.drift_n
+        return Estimate(
+            tracked + rows @ state.mean,
+            HALF_90 * xp.sqrt(variance),
+            drift * state.mean[coefficients + 6 : coefficients + 8],
+            state.level,
+        )
+
+    def _bias_rows(self, ops: Operations, reference: Array) -> Array:
+        """Return the derivatives of the force error (x, y) [N] with respect to the filter state."""
+        xp = ops.xp
+        assert self.newtons is not None
+        force = xp.zeros((0, 2))
+        if self.family is not None:
+            (force,) = self.family.interpolate(ops, reference[None], self.family.force)
+            force = force[0]
+        return xp.concatenate([force.T, self._affine(ops, reference), xp.zeros((2, 4))], axis=1)
+
+    def _affine(self, ops: Operations, reference: Array) -> Array:
+        """Return the derivatives of the affine part of the force error, ``(2, 6)`` [N]."""
+        assert self.newtons is not None
+        # Each column is a constant plus a linear function of the reference.
+        return ops.xp.asarray(AFFINE_CONSTANT * self.newtons.bias_n) + (
+            AFFINE_SLOPE @ (reference * (self.newtons.bias_n / self.reach_n))
+        )
+
+    def _bias(self, ops: Operations, mean: Array, reference: Array) -> Array:
+        assert self.newtons is not None
+        limit_n = self.newtons.limit_n
+        return ops.xp.clip(self._bias_rows(ops, reference) @ mean, -limit_n, limit_n)
+
+    def _update(
+        self, ops: Operations, state: FeedbackState, seen: Array
+    ) -> tuple[Array, Array, Array, Number]:
+        """Return the mean, the covariance, the reference and the level after the window that has
+        just ended."""
+        xp = ops.xp
+        config = self.config
+        assert self.newtons is not None
+        coefficients = self.coefficients
+        window_s = self.clock.window_ticks / 100
+        # Predict.
+        kept_drift = math.exp(-window_s / (2 * config.drift_s))
+        size = coefficients + 10
+        drifts = slice(coefficients + 6, coefficients + 8)
+        kept = np.ones(size)
+        kept[drifts] = kept_drift
+        added = np.zeros(size)
+        added[:coefficients] = window_s / config.change_s
+        added[drifts] = 1 - kept_drift**2
+        mean = kept * state.mean
+        covariance = state.covariance * np.outer(kept, kept) + np.diag(added)
+        tracked = state.tracked[1:]
+        steps = xp.abs(state.references[1:] - state.references[:-1]).max()
+        moved = xp.maximum(steps, xp.abs(tracked[1:] - tracked[:-1]).max())
+        rows, errors, weights = self._measurements(ops, state, seen, mean, moved)
+        # The start of the fin is not like any other window.
+        weights = weights * xp.where(state.age >= 2 * self.clock.window_actions, 1.0, 0.0)
+        patterns = np.arange(len(FORCE_ROWS), rows.shape[0])
+        valid = (weights[patterns] > 0).sum()
+        every = (weights > 0).sum()
+        # A fin outside the family raised the level in the windows before.
+        lowered = xp.concatenate([weights[:2], weights[2:] / state.level])
+        found = self._correct(ops, covariance, rows, errors, lowered)
+        surprise = found.innovation / xp.maximum(every, 1)
+        is_sudden = surprise > SUDDEN
+        opened = np.zeros(size)
+        opened[:coefficients] = 1.0
+        opened_more = np.zeros(size)
+        opened_more[: coefficients + 6] = 1.0
+        covariance = covariance + np.diag(opened) * xp.where(is_sudden, 1.0, 0.0)
+        found = self._correct(ops, covariance, rows, errors, lowered)
+        left = errors - rows @ found.change
+        level = (weights[2:] * left[2:] ** 2).sum() / xp.maximum(valid, 1)
+        # If no coefficients explain the pattern, the mean force decides.
+        strange = xp.maximum(level, 1.0)
+        covariance = covariance + np.diag(opened_more) * xp.where(
+            is_sudden & (level > UNFAMILIAR), 1.0, 0.0
+        )
+        lowered = xp.concatenate([weights[:2], weights[2:] / strange])
+        found = self._correct(ops, covariance, rows, errors, lowered)
+        covariance = (found.covariance + found.covariance.T) / 2
+        level = xp.where(valid > 0, (state.level + strange) / 2, state.level)
+        is_used = (every > 0) & (moved < NEW_REFERENCE * self.reach_n)
+        used = xp.where(is_used, self._share() @ tracked, state.used)
+        return mean + found.change, covariance, used, level
+
+    def _share(self) -> Float[np.ndarray, "actions"]:
+        """Return the share of each action in a window."""
+        clock = self.clock
+        return np.array(clock.action_ticks(clock.window_actions)) / clock.window_ticks
+
+    def _measurements(
+        self, ops: Operations, state: FeedbackState, seen: Array, mean: Array, moved: Number
+    ) -> tuple[Array, Array, Array]:
+        """Return the measurements of the last window: derivatives with respect to the filter state,
+        differences from the prediction, and weights (1 / variance; 0 if missing)."""
+        xp = ops.xp
+        config = self.config
+        newtons = self.newtons
+        assert newtons is not None
+        tracked = state.tracked[1:]
+        actions = self.clock.window_actions
+        share = self._share()
+        centre = share @ tracked
+        affine = self._affine(ops, centre)
+        drift = math.sqrt(2) * config.drift_n * np.eye(2)
+        force_error = share @ seen[:, FORCES] - centre
+        distance = xp.sqrt(((centre - state.used) ** 2).sum()) / self.reach_n
+        repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
+        rest = repeated * newtons.rest_n**2
+        force_weight = 1 / (newtons.noise_n**2 + rest + moved**2) * np.ones(2)
+        family = self.family
+        if family is None:
+            rows = xp.concatenate([affine, drift, np.zeros((2, 2))], axis=1)
+            has_force = xp.isfinite(force_error) & (config.uses != "torque")
+            errors = xp.where(has_force, force_error, 0.0) - rows @ mean
+            return rows, errors, xp.where(has_force, force_weight, 0.0)
+        own = (np.arange(actions),)
+        nominal, turning = family.interpolate(
+            ops, tracked, family.nominal, family.friction, own=own
+        )
+        (rough,) = family.interpolate(ops, tracked, family.nominal_noise)
+        (changes,) = family.interpolate(ops, tracked, family.features, own=own)
+        changes = xp.moveaxis(changes, 1, 2)
+        ahead = seen - nominal
+        mean_change = xp.tensordot(share, changes, 1)
+        # Drift and the affine error are the same in every action of a window, so the pattern is
+        # relative to the mean.
+        ahead = ahead - IS_FORCE * (share @ ahead)
+        changes = changes - IS_FORCE[:, None] * mean_change
+        count = actions * nominal.shape[1]
+        spread = ops.constant(family.feature_spread)
+        other = np.zeros((actions, MOTOR.start))
+        friction = FRICTION_SHARE * spread[MOTOR.start] * xp.concatenate([other, turning], axis=1)
+        scale = config.torque_scale * nominal * IS_MOTOR
+        pattern_rows = xp.concatenate(
+            [
+                changes.reshape(count, -1),
+                np.zeros((count, 8)),
+                friction.reshape(count, 1),
+                scale.reshape(count, 1),
+            ],
+            axis=1,
+        )
+        force_rows = xp.concatenate([mean_change[FORCES], affine, drift, np.zeros((2, 2))], axis=1)
+        rows = xp.concatenate([force_rows, pattern_rows])
+        white = WHITE_NOISE * xp.concatenate([np.ones(LOADS.start), spread[LOADS]])
+        variance = (
+            repeated * ops.constant(family.feature_noise) ** 2
+            + white**2
+            + rough**2
+            + (spread * moved / self.reach_n) ** 2
+        )
+        allowed = np.ones(len(FEATURES))
+        if config.uses != "both":
+            allowed[LOADS if config.uses == "force" else FORCES] = 0.0
+        pattern_weights = (allowed / variance * np.ones((actions, 1))).reshape(count)
+        weights = xp.concatenate([force_weight * allowed[FORCES], pattern_weights])
+        errors = xp.concatenate([force_error, ahead.reshape(count)])
+        has = xp.isfinite(errors)
+        errors = xp.where(has, errors, 0.0)
+        return rows, xp.where(has, errors - rows @ mean, 0.0), xp.where(has, weights, 0.0)
+
+    def _correct(
+        self, ops: Operations, covariance: Array, rows: Array, errors: Array, weights: Array
+    ) -> "_Correction":
+        """Return the update of the Kalman filter for independent measurements."""
+        weighted = weights[:, None] * rows
+        information = rows.T @ weighted
+        # Of the size of the state, however many measurements there are; the covariance may be
+        # singular.
+        after = ops.xp.linalg.solve(
+            np.eye(covariance.shape[0]) + covariance @ information, covariance
+        )
+        pull = errors @ weighted
+        change = after @ pull
+        return _Correction(change, after, (weights * errors**2).sum() - pull @ change)
+
+    def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
+        """Move the corrected reference into the reachable forces and the controller cells.
+
+        A correction may move the reference into a different cell. If it would move the reference
+        between cells, it stops at the edge of the original cell. Cells are applied last: outside
+        the cells, the controller's commands are meaningless, while outside the reachable forces,
+        the fin only falls short.
+        """
+        if self.reachable is not None:
+            corrected = self.reachable.project(corrected)
+        if self._corners is None:
+            return corrected
+        xp = ops.xp
+        low, high = map(ops.constant, self._corners)
+        within = ((low <= corrected) & (corrected <= high)).all(axis=1).any()
+        beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0.0)
+        # The original cell is the one nearest to the uncorrected reference.
+        own = (beyond**2).sum(axis=1).argmin()
+        clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
+        return xp.where(within, corrected, clipped)
+
+    def check(self, reference: ForceVector) -> None:
+        """Raise CoverageError if the inner controller does."""
+        controller: Controller = self.controller
+        controller.check(reference)
+
+
+class _Correction(NamedTuple):
+    change: Array
+    """Change of the mean."""
+    covariance: Array
+    innovation: Number
+    """Squared normalized innovation, chi-squared with as many degrees of freedom as
+    measurements."""
+
+
+FORCE_ROWS = ("force_x", "force_y")
+IS_FORCE = np.isin(FEATURES, FEATURES[FORCES]).astype(float)
+IS_MOTOR = np.isin(FEATURES, FEATURES[MOTOR]).astype(float)
+AFFINE_CONSTANT = np.concatenate([np.eye(2), np.zeros((2, 4))], axis=1)
+"""Effect of the six affine parameters on the force (x, y), apart from the reference."""
+AFFINE_SLOPE = np.zeros((2, 6, 2))
+"""Effect of the six affine parameters on the force (x, y), per force of the reference (x, y)."""
+AFFINE_SLOPE[0, 2, 0] = AFFINE_SLOPE[0, 3, 1] = AFFINE_SLOPE[1, 4, 0] = AFFINE_SLOPE[1, 5, 1] = 1.0

@@ -1,0 +1,295 @@
+"""Finds the family of a fin by simulation: samples fins around a tank, runs a controller on each of
+them, and keeps the few components in which they differ."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from softfin.control.controller import LoadedController, Measured
+from softfin.control.family import MIN_FINS, Family
+from softfin.control.pytrees import register_controllers
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.operations import NUMPY
+from softfin.core.plant import masked_mean, repeat
+from softfin.core.progress import Progress, silent
+from softfin.core.quantities import AnyArray, Command
+from softfin.core.randomness import named_key
+from softfin.gaits.reachable import Reachable
+from softfin.tank.randomization import DomainRandomization, sample_tank
+from softfin.tank.tank import Tank, TankState
+
+STEADY_WINDOWS = 3
+"""Number of windows from rest, the last of which is tabulated."""
+
+OUTSIDE_WEIGHT = 0.3
+"""Weight in the components of nodes outside the reach, which were moved to its edge, relative to
+others."""
+
+BATCH = 128
+"""Number of references that are run at once."""
+
+HELD_OUT = 4
+"""One of this many fins is kept out of the components, to measure what they do not explain."""
+
+
+class FamilyConfig(Configuration):
+    """Configuration of a family."""
+
+    fins: int = Field(default=64, ge=MIN_FINS, le=2000)
+    """Number of sampled fins."""
+    coefficients: int = Field(default=6, ge=1, le=12)
+    """Number of coefficients."""
+    nodes: int = Field(default=9, ge=3, le=33)
+    """Number of lattice nodes along x and along y at which all fins are run."""
+    nominal_nodes: int = Field(default=33, ge=3, le=129)
+    """Number of lattice nodes along x and along y at which the nominal fin is run."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of the sampled fins."""
+    widths: DomainRandomization = DomainRandomization(
+        temperature_c=5.0,
+        stiffness=0.3,
+        drag=0.3,
+        added_mass=0.15,
+        lag=0.3,
+        dead_time=0.3,
+        drift=0.0,
+        misalignment_rad=0.03,
+    )
+    """Half-widths of the distributions of the fins' parameters around those of the tank."""
+
+
+class _Steady(NamedTuple):
+    """What a controller does on one fin after some windows, at each reference."""
+
+    force: Float[AnyArray, "*references 2"]
+    """True mean force over the window [N]."""
+    features: Float[AnyArray, "*references actions features"]
+    friction: Float[AnyArray, "*references actions 2"]
+
+
+class _Seen(NamedTuple):
+    """One tick of a fin."""
+
+    read: Float[Array, "2"]
+    force: Float[Array, "2"]
+    torque: Float[Array, "2"]
+    velocity: Float[Array, ""]
+    angle: Float[Array, ""]
+
+
+def find_family(
+    controller: LoadedController,
+    tank: Tank,
+    config: FamilyConfig | None = None,
+    progress: Progress = silent,
+) -> Family:
+    """Find the family of the fins around a tank under a controller.
+
+    Raises ConfigurationError if the controller does not know the reach of its fin.
+    """
+    config = config or FamilyConfig()
+    reachable = controller.reachable
+    if reachable is None:
+        raise ConfigurationError(
+            f"{controller.artifact.name}: the reach of the fin is unknown; train the controller "
+            "with a map (softfin map), or find the family of the gaits"
+        )
+    register_controllers()
+    box = reachable.bounding_box()
+
+    def lattice(nodes: int) -> Float[np.ndarray, "nodes 2"]:
+        axes = np.linspace(box.low, box.high, nodes)
+        return np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
+        inside = np.asarray(reachable.project(references), np.float32)
+        found: _Steady = _steady(controller, fin, jnp.asarray(inside))
+        return _Steady(*map(np.asarray, found))
+
+    fine = run(tank, lattice(config.nominal_nodes))
+    coarse = lattice(config.nodes)
+    between = _references_between(coarse, reachable)
+    nominal = [run(tank, coarse), run(tank, between)]
+    known: list[list[_Steady]] = []
+    held_out: list[list[_Steady]] = []
+    for index in range(config.fins):
+        fin = sample_tank(tank, named_key(config.seed, f"family/{index}"), config.widths)
+        places = [coarse, between] if index % HELD_OUT == 0 else [coarse]
+        changes = [
+            jax.tree.map(np.subtract, run(fin, at), before)
+            for at, before in zip(places, nominal, strict=False)
+        ]
+        (known if len(places) == 1 else held_out).append(changes)
+        progress("family", (index + 1) / config.fins, f"fin {index + 1} of {config.fins}")
+    moved = np.linalg.norm(reachable.project(coarse) - coarse, axis=1)
+    weights = np.where(moved > 0.1 * reachable.reach_n, OUTSIDE_WEIGHT, 1.0)
+    components = _components([changes[0] for changes in known], weights, config.coefficients)
+    shape = (config.nominal_nodes, config.nominal_nodes)
+    features = np.reshape(fine.features, (*shape, *fine.features.shape[1:]))
+    coarse_shape = (config.nodes, config.nodes)
+    family = Family(
+        low=np.asarray(box.low, np.float32),
+        high=np.asarray(box.high, np.float32),
+        nominal=features,
+        nominal_noise=_roughness(features),
+        friction=fine.friction.reshape(*shape, -1, 2),
+        force=np.moveaxis(components.force, 0, 1).reshape(*coarse_shape, -1, 2),
+        features=np.moveaxis(components.features, 0, 2).reshape(
+            *coarse_shape, *features.shape[2:-1], -1, features.shape[-1]
+        ),
+        force_noise=np.zeros(2),
+        feature_noise=np.zeros(features.shape[-1]),
+        feature_spread=features.std(axis=(0, 1, 2)),
+    )
+    force_noise, feature_noise = _unexplained(family, components, held_out, between)
+    family = family._replace(force_noise=force_noise, feature_noise=feature_noise)
+    return Family(*(np.asarray(part, np.float32) for part in family))
+
+
+def _references_between(
+    nodes: Float[np.ndarray, "nodes 2"], reachable: Reachable
+) -> Float[np.ndarray, "nodes 2"]:
+    """Return as many references as there are nodes, evenly over the reach but not at the nodes."""
+    radius = np.sqrt((np.arange(len(nodes)) + 0.5) / len(nodes))
+    angle = 2.399963 * np.arange(len(nodes))
+    ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    far = reachable.centre + 10 * float(np.max(reachable.radius)) * ways
+    edge = reachable.project(far) - reachable.centre
+    return np.asarray(reachable.centre + radius[:, None] * edge)
+
+
+def _roughness(table: Float[np.ndarray, "x y actions features"]) -> np.ndarray:
+    """Return an estimate of the error of linear interpolation between the nodes ``(x, y,
+    features)``: half of the mean second difference along both axes."""
+    bends = []
+    for axis in (0, 1):
+        padded = np.pad(table, [(1, 1) if axis == each else (0, 0) for each in range(4)], "edge")
+        bends.append(np.diff(padded, 2, axis=axis))
+    return np.asarray(0.5 * np.sqrt((bends[0] ** 2 + bends[1] ** 2).mean(axis=2)))
+
+
+class _Components(NamedTuple):
+    force: Float[np.ndarray, "coefficients references 2"]
+    features: Float[np.ndarray, "coefficients references actions features"]
+    project: Callable[[_Steady], Float[np.ndarray, "coefficients"]]
+    """Function that returns the coefficients of a fin from its changes at the nodes."""
+
+
+def _components(
+    changes: Sequence[_Steady], weights: Float[np.ndarray, "references"], count: int
+) -> _Components:
+    """Return the changes in force and features for coefficients of variance 1.
+
+    The mean force, all features together, and each feature among them have the same weight.
+    """
+    forces = np.stack([change.force for change in changes])
+    features = np.stack([change.features for change in changes])
+    force_scale = weights[:, None] / np.sqrt((forces**2).mean() * 2)
+    each = np.sqrt((features**2).mean(axis=(0, 1, 2)) * features[0, 0].size)
+    feature_scale = weights[:, None, None] / each
+
+    def flat(change: _Steady) -> Float[np.ndarray, "values"]:
+        scaled = [force_scale * change.force, feature_scale * change.features]
+        return np.concatenate([part.ravel() for part in scaled])
+
+    every = np.stack(list(map(flat, changes)))
+    _, lengths, directions = np.linalg.svd(every, full_matrices=False)
+    projection = directions[:count].T / lengths[:count] * np.sqrt(len(changes))
+    known = every @ projection
+    solved = [
+        np.linalg.lstsq(known, values.reshape(len(known), -1), rcond=None)[0]
+        for values in (forces, features)
+    ]
+    return _Components(
+        solved[0].reshape(count, *forces.shape[1:]),
+        solved[1].reshape(count, *features.shape[1:]),
+        lambda change: np.asarray(flat(change) @ projection),
+    )
+
+
+def _unexplained(
+    family: Family,
+    components: _Components,
+    held_out: Sequence[Sequence[_Steady]],
+    between: Float[np.ndarray, "references 2"],
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "features"]]:
+    """Return the standard deviations of mean force and features that the tables do not explain in
+    fins that were not used to make them, at references between the nodes."""
+    force, features = family.interpolate(NUMPY, between, family.force, family.features)
+    left = []
+    for at_nodes, at_others in held_out:
+        coefficients = components.project(at_nodes)
+        left.append(
+            _Steady(
+                at_others.force - np.einsum("c,rcf->rf", coefficients, force),
+                at_others.features - np.einsum("c,racf->raf", coefficients, features),
+                at_others.friction,
+            )
+        )
+    # The mean over 95%: gaits at a few references differ so much from their neighbours that they
+    # would hide the accuracy of all others.
+    forces = np.abs([each.force for each in left]).reshape(-1, 2)
+    others = np.abs([each.features for each in left]).reshape(-1, features.shape[-1])
+    return tuple(
+        np.sqrt((np.sort(values, axis=0)[: int(0.95 * len(values))] ** 2).mean(axis=0))
+        for values in (forces, others)
+    )
+
+
+@eqx.filter_jit
+def _steady(
+    controller: LoadedController, tank: Tank, references: Float[Array, "references 2"]
+) -> _Steady:
+    clock = controller.clock
+    durations = clock.action_ticks(STEADY_WINDOWS * clock.window_actions)
+    # A sensor without noise and drift; its misalignment and filter belong to the fin.
+    sensor = tank.sensor
+    errors = (sensor.noise, sensor.drift, sensor.resolution)
+    exact = eqx.tree_at(
+        lambda tank: (tank.sensor.noise, tank.sensor.drift, tank.sensor.resolution),
+        tank,
+        jax.tree.map(jnp.zeros_like, errors),
+    )
+
+    def one(reference: Float[Array, "2"]) -> _Steady:
+        def action(
+            carry: tuple[object, TankState, Measured], ticks: Array
+        ) -> tuple[tuple[object, TankState, Measured], tuple[Array, Array, Array]]:
+            memory, state, measured = carry
+            memory, command = controller.act(memory, measured, reference)
+            command = Command(*(jnp.asarray(part, jnp.float32) for part in command))
+
+            def tick(state: TankState) -> tuple[TankState, _Seen]:
+                state, (_, angle, velocity, read), _load = exact.tick(state, command)
+                return state, _Seen(read, state.force, state.torque, velocity, angle)
+
+            state, seen = repeat(tick, state, ticks, clock.max_ticks)
+            loads = jnp.stack([seen.torque, seen.torque * seen.velocity[:, None]], axis=1)
+            turns = jnp.stack([jnp.sign(seen.velocity), jnp.abs(seen.velocity)], axis=1)
+            read = masked_mean(seen.read, ticks)
+            shaft, motor = masked_mean(loads, ticks).T
+            angle = seen.angle[ticks - 1]
+            features = jnp.concatenate([read, angle[None], shaft, motor])
+            measured = Measured(angle, read, shaft, motor)
+            kept = masked_mean(seen.force, ticks), features, masked_mean(turns, ticks)
+            return (memory, state, measured), kept
+
+        rest = Measured(
+            jnp.float32(tank.limits.rest_angle), jnp.zeros(2), jnp.zeros(2), jnp.zeros(2)
+        )
+        carry = (controller.init(), exact.init(jax.random.key(0)), rest)
+        _, (true, features, friction) = jax.lax.scan(action, carry, jnp.asarray(durations))
+        last = slice(-clock.window_actions, None)
+        held = jnp.asarray(durations[last], jnp.float32)
+        mean = (held[:, None] * true[last]).sum(axis=0) / clock.window_ticks
+        return _Steady(mean, features[last], friction[last])
+
+    steady: _Steady = jax.lax.map(one, references, batch_size=BATCH)
+    return steady

@@ -1,0 +1,132 @@
+"""The mean torques about the shaft and their power during each action of a controller. No I/O.
+
+The torque on the fin is the torque of the force sensor minus its value at rest. The torque of the
+motor is its current times `drive.torque_constant_nm_a`; it also accelerates the rotor, which the
+sensor does not see because it is under the motor. Both are positive towards positive angles.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.quantities import RATE_HZ
+from softfin.rig.machine import Sample
+from softfin.rig.session import Session, Warn
+
+STROKE_RAD = 0.1
+"""Motion of the shaft within an action during which a torque must change [rad]."""
+
+JUDGED_S = 60.0
+"""Time in motion after which the mean power of a torque must be positive [s], because a fin takes
+up power."""
+
+_Series: TypeAlias = Float[np.ndarray, " samples"]
+
+Drive: TypeAlias = tuple[float, float]
+"""Mean torque [N m] and mean power [W]; positive if the drive delivers power."""
+
+
+class ShaftTorque:
+    """Torques during the actions of one session.
+
+    `warn` is called once if a torque has the wrong sign, and with `is_needed` also if the motor
+    current is not used because the torque constant is unknown.
+    """
+
+    def __init__(self, session: Session, warn: Warn, is_needed: bool = False) -> None:
+        self._session = session
+        self._warn = warn
+        self._is_needed = is_needed
+        self._motion = np.empty((2, 0))
+        """Times [s] and velocities [rad/s] of the previous action."""
+        self._sensed = _Torque(
+            "the torque of the force sensor",
+            "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
+            "sensor that sends lines",
+            warn,
+        )
+        self._motor = _Torque(
+            "the motor current",
+            "correct the driver so that the current is positive when the motor pushes the fin "
+            "towards positive angles",
+            warn,
+        )
+
+    def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
+        """Return torque and power on the fin and of the motor over the samples of an action; None
+        if the torque is not measured, not finite, constant while the shaft moves, or has the wrong
+        sign."""
+        rows = [
+            (each.time, each.angle, each.velocity, each.force_time, each.wrench[-1], each.current)
+            for each in samples
+        ]
+        # NaN if the current is not measured.
+        time, angle, velocity, force_time, torque, current = np.array(rows, float).T
+        motion = np.hstack([self._motion, [time, velocity]])
+        self._motion = motion[:, -len(samples) :]
+        at_rest = [sample.wrench[-1] for sample in self._session.at_rest]
+        # Sensors report zero for loads that they do not measure.
+        if not any(at_rest) and not torque.any():
+            torque[:] = math.nan
+        torque -= np.mean(at_rest or [0.0])
+        is_moving = bool(np.ptp(angle) > STROKE_RAD)
+        return (
+            # The force is older than the velocity.
+            self._sensed.mean(torque, np.interp(force_time, *motion), is_moving),
+            self._motor.mean(self._constant(current) * current, velocity, is_moving),
+        )
+
+    def _constant(self, current: _Series) -> float:
+        """Return the torque constant [N m/A]; NaN if it is unknown."""
+        # Only a rig has a configured drive.
+        constant_nm_a = getattr(self._session.machine, "torque_constant_nm_a", None)
+        if constant_nm_a is not None:
+            return float(constant_nm_a)
+        if self._is_needed and np.isfinite(current).any():
+            self._is_needed = False
+            self._warn(
+                "the motor current: not used for feedback because its torque constant is unknown; "
+                "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
+            )
+        return math.nan
+
+
+class _Torque:
+    """One of the torques, until its sign is found to be wrong."""
+
+    def __init__(self, name: str, sign_fix: str, warn: Warn) -> None:
+        self._name = name
+        self._sign_fix = sign_fix
+        self._warn = warn
+        self._is_reversed = False
+        self._ticks = 0
+        """Number of ticks in motion."""
+        self._power_w = 0.0
+        """Sum of the power at these ticks [W]."""
+
+    def mean(self, torque: _Series, velocity: _Series, is_moving: bool) -> Drive | None:
+        """Return the mean torque and power over the samples of an action; None if the torque is
+        unusable."""
+        is_frozen = is_moving and np.ptp(torque) == 0
+        if self._is_reversed or is_frozen or not np.isfinite(torque).all():
+            return None
+        power_w = torque * velocity
+        if is_moving:
+            self._judge(power_w)
+        return None if self._is_reversed else (float(torque.mean()), float(power_w.mean()))
+
+    def _judge(self, power_w: _Series) -> None:
+        """Check the sign of the torque."""
+        self._ticks += len(power_w)
+        self._power_w += power_w.sum()
+        mean_w = self._power_w / self._ticks
+        if self._ticks >= JUDGED_S * RATE_HZ and mean_w < 0:
+            self._is_reversed = True
+            self._warn(
+                f"{self._name}: opposes the motion of the shaft ({mean_w:.2g} W on average over "
+                f"{self._ticks / RATE_HZ:.0f} s of motion), so its sign is wrong and it is no "
+                f"longer used; {self._sign_fix}"
+            )
