@@ -319,7 +319,7 @@ def fit_streaming(
             unit = " N" if name == "force" else ""
             text = f"{name} networks, error {error:.2g}{unit} in held-out logs"
             means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
-            record.write(before + until, **means)
+            record.write(before + until, **jax.tree.map(float, means))
             run_directory.save(states, done)
         return states[name].best
 
