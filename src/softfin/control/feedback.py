@@ -8,6 +8,8 @@ the clock at a time. Its state, in units of the prior standard deviation:
     c   coefficients of the family of the fin (`softfin.control.family`): a random walk from 0
     r   rest of the controller's force error, an affine function of the reference: constant, so
         returning to a reference does not make it uncertain again
+    g   what is left at the present reference: an Ornstein-Uhlenbeck process over the distance that
+        the reference moves
     d   drift of the force sensor since it was zeroed: an Ornstein-Uhlenbeck process from 0
     f   Coulomb friction of the drive, and error of the torque constant
 
@@ -59,6 +61,14 @@ HALF_90 = 1.645
 FIXED_POINT_STEPS = 2
 """Number of steps of the fixed-point iteration per action."""
 
+STARTS = 0.3
+"""Prior standard deviation of the coefficients at the start, when the fin is about the nominal one
+[-]."""
+
+NEAR = 0.15
+"""Distance over which the force error at a reference tells that at another one, as a fraction of
+the reach [-]."""
+
 REPEATED = 20.0
 """Factor on the variance that the family does not explain, in windows at a reference that was
 already used: what it does not explain is the same there, so it does not average out."""
@@ -67,8 +77,9 @@ NEW_REFERENCE = 0.1
 """Distance from the last used reference at which a window counts as new, as a fraction of the reach
 [-]."""
 
-SUDDEN = 3.0
-"""Mean square of the normalized innovations above which the fin has changed suddenly."""
+SUDDEN = 6.0
+"""Excess of the squared normalized innovation over its expected value, in standard deviations,
+above which the fin has changed suddenly."""
 
 UNFAMILIAR = 6.0
 """`Estimate.level` above which the fin is not of the family."""
@@ -100,7 +111,7 @@ class FeedbackConfig(Configuration):
     """Standard deviation of the force error that is neither due to the fin nor affine in the
     reference [N]; null: 0.02 N, scaled."""
     noise_n: PositiveFloat | None = None
-    """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.02
+    """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.01
     N, scaled."""
     change_s: PositiveFloat = 1500.0
     """Time in which the coefficients of a slowly changing fin change by their standard deviation
@@ -116,7 +127,7 @@ class FeedbackForces(NamedTuple):
 
     bias_n: float = 0.1
     rest_n: float = 0.02
-    noise_n: float = 0.02
+    noise_n: float = 0.01
     limit_n: float = 1.0
 
     @classmethod
@@ -222,16 +233,30 @@ class Feedback:
         """Number of coefficients of the family."""
         return 0 if self.family is None else self.family.coefficients
 
+    @property
+    def size(self) -> int:
+        """Number of states of the filter: coefficients, 6 of the affine error, 2 of its rest, 2 of
+        the drift, friction and torque constant."""
+        return self.coefficients + 12
+
+    @property
+    def _places(self) -> slice:
+        return slice(self.coefficients + 6, self.coefficients + 8)
+
+    @property
+    def _drifts(self) -> slice:
+        return slice(self.coefficients + 8, self.coefficients + 10)
+
     def init(self) -> FeedbackState:
         """Return the state for a fin at rest whose sensor has just been zeroed."""
         controller: Controller = self.controller
         actions = self.clock.window_actions
-        coefficients = self.coefficients
-        variances = np.ones(coefficients + 10)
+        variances = np.ones(self.size)
+        variances[: self.coefficients] = STARTS**2
         # The sensor has just been zeroed.
-        variances[coefficients + 6 : coefficients + 8] = 0.0
+        variances[self._drifts] = 0.0
         return FeedbackState(
-            mean=np.zeros(coefficients + 10),
+            mean=np.zeros(self.size),
             covariance=np.diag(variances),
             inner=controller.init(),
             seen=np.full((actions, len(FEATURES)), np.nan),
@@ -263,7 +288,9 @@ class Feedback:
         )
         tracked = reference + state.tracked[-1] - state.references[-1]
         for _ in range(FIXED_POINT_STEPS):
-            tracked = self._trackable(ops, reference, reference - self._bias(ops, mean, tracked))
+            tracked = self._trackable(
+                ops, reference, reference - self._bias(ops, mean, tracked, used)
+            )
         inner, command = self.controller.act(
             state.inner, measured, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
@@ -284,29 +311,38 @@ class Feedback:
         ops = select_operations(state.mean)
         xp = ops.xp
         tracked = state.tracked[-1]
-        rows = self._bias_rows(ops, tracked)
         assert self.newtons is not None
-        variance = ((rows @ state.covariance) * rows).sum(axis=1) + self.newtons.rest_n**2
+        near = self._near(ops, tracked, state.used)
+        rows = self._bias_rows(ops, tracked, near)
+        variance = ((rows @ state.covariance) * rows).sum(axis=1)
+        variance = variance + (1 - near**2) * self.newtons.rest_n**2
         if self.family is not None:
             variance = variance + ops.constant(self.family.force_noise) ** 2
-        coefficients = self.coefficients
         drift = math.sqrt(2) * self.config.drift_n
         return Estimate(
             tracked + rows @ state.mean,
             HALF_90 * xp.sqrt(variance),
-            drift * state.mean[coefficients + 6 : coefficients + 8],
+            drift * state.mean[self._drifts],
             state.level,
         )
 
-    def _bias_rows(self, ops: Operations, reference: Array) -> Array:
-        """Return the derivatives of the force error (x, y) [N] with respect to the filter state."""
+    def _near(self, ops: Operations, one: Array, other: Array) -> Number:
+        """Return the correlation of the force errors at two references."""
+        distance = ops.xp.sqrt(((one - other) ** 2).sum())
+        return ops.xp.exp(-distance / (NEAR * self.reach_n))
+
+    def _bias_rows(self, ops: Operations, reference: Array, near: Number) -> Array:
+        """Return the derivatives of the force error (x, y) [N] with respect to the filter state;
+        `near` is the correlation with the reference of the last window."""
         xp = ops.xp
         assert self.newtons is not None
         force = xp.zeros((0, 2))
         if self.family is not None:
             (force,) = self.family.interpolate(ops, reference[None], self.family.force)
             force = force[0]
-        return xp.concatenate([force.T, self._affine(ops, reference), xp.zeros((2, 4))], axis=1)
+        place = self.newtons.rest_n * near * np.eye(2)
+        affine = self._affine(ops, reference)
+        return xp.concatenate([force.T, affine, place, np.zeros((2, 4))], axis=1)
 
     def _affine(self, ops: Operations, reference: Array) -> Array:
         """Return the derivatives of the affine part of the force error, ``(2, 6)`` [N]."""
@@ -316,10 +352,11 @@ class Feedback:
             AFFINE_SLOPE @ (reference * (self.newtons.bias_n / self.reach_n))
         )
 
-    def _bias(self, ops: Operations, mean: Array, reference: Array) -> Array:
+    def _bias(self, ops: Operations, mean: Array, reference: Array, used: Array) -> Array:
         assert self.newtons is not None
         limit_n = self.newtons.limit_n
-        return ops.xp.clip(self._bias_rows(ops, reference) @ mean, -limit_n, limit_n)
+        rows = self._bias_rows(ops, reference, self._near(ops, reference, used))
+        return ops.xp.clip(rows @ mean, -limit_n, limit_n)
 
     def _update(
         self, ops: Operations, state: FeedbackState, seen: Array
@@ -333,47 +370,56 @@ class Feedback:
         window_s = self.clock.window_ticks / 100
         # Predict.
         kept_drift = math.exp(-window_s / (2 * config.drift_s))
-        size = coefficients + 10
-        drifts = slice(coefficients + 6, coefficients + 8)
-        kept = np.ones(size)
-        kept[drifts] = kept_drift
-        added = np.zeros(size)
-        added[:coefficients] = window_s / config.change_s
-        added[drifts] = 1 - kept_drift**2
-        mean = kept * state.mean
-        covariance = state.covariance * np.outer(kept, kept) + np.diag(added)
+        kept = np.ones(self.size)
+        kept[self._drifts] = kept_drift
+        added = np.zeros(self.size)
+        # Without a family, a changing fin can only show in the constant error.
+        slow = slice(0, coefficients or 2)
+        added[slow] = window_s / config.change_s
+        added[self._drifts] = 1 - kept_drift**2
+        is_place = np.zeros(self.size)
+        is_place[self._places] = 1.0
         tracked = state.tracked[1:]
+        near = self._near(ops, self._share() @ tracked, state.used)
+        faded = kept * (1 + is_place * (near - 1))
+        mean = faded * state.mean
+        added = added + is_place * (1 - near**2)
+        covariance = state.covariance * faded[:, None] * faded + xp.diag(added)
         steps = xp.abs(state.references[1:] - state.references[:-1]).max()
         moved = xp.maximum(steps, xp.abs(tracked[1:] - tracked[:-1]).max())
-        rows, errors, weights = self._measurements(ops, state, seen, mean, moved)
+        measured = self._measurements(ops, state, seen, mean, moved)
+        rows, errors = measured.rows, measured.errors
         # The start of the fin is not like any other window.
-        weights = weights * xp.where(state.age >= 2 * self.clock.window_actions, 1.0, 0.0)
-        patterns = np.arange(len(FORCE_ROWS), rows.shape[0])
-        valid = (weights[patterns] > 0).sum()
-        every = (weights > 0).sum()
+        has = measured.has & (state.age >= 2 * self.clock.window_actions)
+        count = xp.maximum(has.sum(), 1)
+        distance = xp.sqrt(((self._share() @ tracked - state.used) ** 2).sum()) / self.reach_n
+        repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
+
+        def weights(repeated: Number, level: Number) -> Array:
+            variance = measured.variance + repeated * measured.unexplained
+            raised = xp.concatenate([np.ones(2), level * np.ones(rows.shape[0] - 2)])
+            return has / (variance * raised)
+
         # A fin outside the family raised the level in the windows before.
-        lowered = xp.concatenate([weights[:2], weights[2:] / state.level])
-        found = self._correct(ops, covariance, rows, errors, lowered)
-        surprise = found.innovation / xp.maximum(every, 1)
-        is_sudden = surprise > SUDDEN
-        opened = np.zeros(size)
-        opened[:coefficients] = 1.0
-        opened_more = np.zeros(size)
-        opened_more[: coefficients + 6] = 1.0
-        covariance = covariance + np.diag(opened) * xp.where(is_sudden, 1.0, 0.0)
-        found = self._correct(ops, covariance, rows, errors, lowered)
-        left = errors - rows @ found.change
-        level = (weights[2:] * left[2:] ** 2).sum() / xp.maximum(valid, 1)
+        found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
+        is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
+        sudden = xp.where(is_sudden, 1.0, 0.0)
+        # What the family does not explain is different for the changed fin.
+        repeated = xp.where(is_sudden, 1.0, repeated)
+        index = np.arange(self.size)
+        covariance = covariance + sudden * np.diag((index < coefficients).astype(float))
+        found = self._correct(ops, covariance, rows, errors, weights(repeated, 1.0))
+        left = (errors - rows @ found.change)[2:]
+        level = (weights(1.0, 1.0)[2:] * left**2).sum() / xp.maximum(has[2:].sum(), 1)
+        level = xp.maximum(level, 1.0)
         # If no coefficients explain the pattern, the mean force decides.
-        strange = xp.maximum(level, 1.0)
-        covariance = covariance + np.diag(opened_more) * xp.where(
-            is_sudden & (level > UNFAMILIAR), 1.0, 0.0
-        )
-        lowered = xp.concatenate([weights[:2], weights[2:] / strange])
-        found = self._correct(ops, covariance, rows, errors, lowered)
+        is_unexplained = (level > UNFAMILIAR) | (coefficients == 0)
+        strange = xp.where(is_sudden & is_unexplained, 1.0, 0.0)
+        covariance = covariance + strange * np.diag((index < coefficients + 8).astype(float))
+        found = self._correct(ops, covariance, rows, errors, weights(repeated, level))
         covariance = (found.covariance + found.covariance.T) / 2
-        level = xp.where(valid > 0, (state.level + strange) / 2, state.level)
-        is_used = (every > 0) & (moved < NEW_REFERENCE * self.reach_n)
+        level = xp.where(has[2:].any(), (state.level + level) / 2, state.level)
+        is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
         used = xp.where(is_used, self._share() @ tracked, state.used)
         return mean + found.change, covariance, used, level
 
@@ -384,9 +430,8 @@ class Feedback:
 
     def _measurements(
         self, ops: Operations, state: FeedbackState, seen: Array, mean: Array, moved: Number
-    ) -> tuple[Array, Array, Array]:
-        """Return the measurements of the last window: derivatives with respect to the filter state,
-        differences from the prediction, and weights (1 / variance; 0 if missing)."""
+    ) -> "_Measurements":
+        """Return the measurements of the last window."""
         xp = ops.xp
         config = self.config
         newtons = self.newtons
@@ -398,16 +443,14 @@ class Feedback:
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
         force_error = share @ seen[:, FORCES] - centre
-        distance = xp.sqrt(((centre - state.used) ** 2).sum()) / self.reach_n
-        repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
-        rest = repeated * newtons.rest_n**2
-        force_weight = 1 / (newtons.noise_n**2 + rest + moved**2) * np.ones(2)
+        force_variance = (newtons.noise_n**2 + moved**2) * np.ones(2)
+        place = newtons.rest_n * np.eye(2)
         family = self.family
         if family is None:
-            rows = xp.concatenate([affine, drift, np.zeros((2, 2))], axis=1)
-            has_force = xp.isfinite(force_error) & (config.uses != "torque")
-            errors = xp.where(has_force, force_error, 0.0) - rows @ mean
-            return rows, errors, xp.where(has_force, force_weight, 0.0)
+            rows = xp.concatenate([affine, place, drift, np.zeros((2, 2))], axis=1)
+            has = xp.isfinite(force_error)
+            errors = xp.where(has, force_error, 0.0) - rows @ mean
+            return _Measurements(rows, errors, has, force_variance, np.zeros(2))
         own = (np.arange(actions),)
         nominal, turning = family.interpolate(
             ops, tracked, family.nominal, family.friction, own=own
@@ -429,30 +472,32 @@ class Feedback:
         pattern_rows = xp.concatenate(
             [
                 changes.reshape(count, -1),
-                np.zeros((count, 8)),
+                np.zeros((count, 10)),
                 friction.reshape(count, 1),
                 scale.reshape(count, 1),
             ],
             axis=1,
         )
-        force_rows = xp.concatenate([mean_change[FORCES], affine, drift, np.zeros((2, 2))], axis=1)
+        force_rows = xp.concatenate(
+            [mean_change[FORCES], affine, place, drift, np.zeros((2, 2))], axis=1
+        )
         rows = xp.concatenate([force_rows, pattern_rows])
         white = WHITE_NOISE * xp.concatenate([np.ones(LOADS.start), spread[LOADS]])
-        variance = (
-            repeated * ops.constant(family.feature_noise) ** 2
-            + white**2
-            + rough**2
-            + (spread * moved / self.reach_n) ** 2
-        )
-        allowed = np.ones(len(FEATURES))
+        variance = white**2 + rough**2 + (spread * moved / self.reach_n) ** 2
+        unexplained = np.ones((actions, 1)) * ops.constant(family.feature_noise) ** 2
+        is_allowed = np.ones(nominal.shape[1], bool)
         if config.uses != "both":
-            allowed[LOADS if config.uses == "force" else FORCES] = 0.0
-        pattern_weights = (allowed / variance * np.ones((actions, 1))).reshape(count)
-        weights = xp.concatenate([force_weight * allowed[FORCES], pattern_weights])
+            is_allowed[LOADS if config.uses == "force" else FORCES] = False
+        is_row_allowed = np.concatenate([is_allowed[FORCES], np.tile(is_allowed, actions)])
         errors = xp.concatenate([force_error, ahead.reshape(count)])
-        has = xp.isfinite(errors)
-        errors = xp.where(has, errors, 0.0)
-        return rows, xp.where(has, errors - rows @ mean, 0.0), xp.where(has, weights, 0.0)
+        has = xp.isfinite(errors) & is_row_allowed
+        return _Measurements(
+            rows,
+            xp.where(has, errors - rows @ mean, 0.0),
+            has,
+            xp.concatenate([force_variance, variance.reshape(count)]),
+            xp.concatenate([np.zeros(2), unexplained.reshape(count)]),
+        )
 
     def _correct(
         self, ops: Operations, covariance: Array, rows: Array, errors: Array, weights: Array
@@ -494,6 +539,22 @@ class Feedback:
         """Raise CoverageError if the inner controller does."""
         controller: Controller = self.controller
         controller.check(reference)
+
+
+class _Measurements(NamedTuple):
+    """Measurements of a window: first the mean force, then the features of each action."""
+
+    rows: Array
+    """Derivatives with respect to the state of the filter."""
+    errors: Array
+    """Differences from the prediction; 0 if missing."""
+    has: Array
+    """Whether each is there and may be used."""
+    variance: Array
+    """Variance of the noise that differs from window to window."""
+    unexplained: Array
+    """Variance of what the state of the filter does not explain, which is the same in every window
+    at a reference."""
 
 
 class _Correction(NamedTuple):
