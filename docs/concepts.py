@@ -18,7 +18,7 @@ from PIL import Image
 
 import softfin
 from softfin.control.controller import Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback
 from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import hold
@@ -194,7 +194,7 @@ def plant(figure: Figure) -> None:
     axes.text(
         6.0,
         0.82,
-        "angle [rad]; with --trim also force (x, y) [N]",
+        "angle [rad]; with --feedback also force (x, y) [N]",
         ha="center",
         va="bottom",
         color=BLUE,
@@ -391,7 +391,7 @@ def trim(figure: Figure) -> None:
 
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
-    runs = (("without", run(gaits), GREY), ("with --trim", run(DisturbanceObserver(gaits)), BLUE))
+    runs = (("without", run(gaits), GREY), ("with --feedback", run(Feedback(gaits)), BLUE))
     for axis, axes in enumerate(panels):
         for name, force_n, colour in runs:
             mean = mean_force(force_n[:, axis])

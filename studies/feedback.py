@@ -255,10 +255,10 @@ def toggle(count: int = 10) -> None:
         line(setup.name, x, y, other_x, other_y, covered)
 
 
-def sudden(count: int = 100) -> None:
+def sudden(count: int = 100, each_s: float = 60) -> None:
     """All parameters change together at 30 s."""
     controller, family = load()
-    references = held([(2, 0), (1, -1), (2, 1)], count, 60, 60)
+    references = held([(2, 0), (1, -1), (2, 1)], count, 60, each_s)
     line("change at 30 s", "before", "6 s", "10 s", "20 s after", "within 1.5", "covered")
     nominal = run(controller, [changing(Tank())] * 3, references[:3]).error[:, 10:].mean(axis=1)
     unchanged = np.abs(nominal)[np.arange(count) % 3]
@@ -303,16 +303,16 @@ def outside(count: int = 20) -> None:
     references = held([(2, 0), (1, -1), (2, 1)], count, 60, 60)
     default = TankConfig()
     shapes = {
-        "span -20%": {"root_span_m": 0.8, "tip_span_m": 0.8},
+        "span -20%": {"span_m": 0.8},
         "length -20%": {"length_m": 0.8},
-        "torn: span -30%": {"root_span_m": 0.7, "tip_span_m": 0.7},
+        "tip as thick as the root": {"root_thickness_m": 0.8, "tip_thickness_ratio": 1.25},
+        "torn: span -30%": {"span_m": 0.7},
         "torn: length -30%": {"length_m": 0.7},
     }
     line("changed at 30 s", "way", "error 20 s after", "alarms within 3 windows", "level")
     for name, factors in shapes.items():
         fin = default.fin
-        known = {field: factor for field, factor in factors.items() if hasattr(fin, field)}
-        values = {field: getattr(fin, field) * factor for field, factor in known.items()}
+        values = {field: getattr(fin, field) * factor for field, factor in factors.items()}
         after = Tank(default.model_copy(update={"fin": fin.model_copy(update=values)}))
         for setup in setups(controller, family, FeedbackConfig()):
             fins = [changing(Tank(), after, 30, 30, has_sensor=setup.has_sensor)] * count
@@ -352,6 +352,7 @@ CASES: dict[str, Callable[[], None]] = {
     "slow": slow,
     "outside": outside,
     "false_alarms": false_alarms,
+    "turns": partial(sudden, each_s=10),
     "quick": partial(sudden, 20),
 }
 

@@ -136,7 +136,7 @@ def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(
 
 
 def test_a_command_without_its_program_is_understood_too():
-    """As `evaluate --trim`."""
+    """As `evaluate --feedback`."""
     found = [
         text
         for _, _, text in spans()

@@ -20,7 +20,7 @@ whatever is missing has no weight. Windows do not overlap, so their noise is ind
 What tells the fin from the sensor is the pattern within the window: a changed fin changes the
 forces, angles and torques of the actions relative to each other, and drift does not. Without a
 family there is no such pattern, and only time separates r from d: r exists from the start, and d
-grows as the prior allows.
+grows as the prior allows. A fin that changes slowly is then taken for drift.
 
 If the innovations are much larger than expected, the fin has changed suddenly: the coefficients
 become as uncertain as at the start. If no coefficients explain the pattern, the fin is not of the
@@ -373,9 +373,7 @@ class Feedback:
         kept = np.ones(self.size)
         kept[self._drifts] = kept_drift
         added = np.zeros(self.size)
-        # Without a family, a changing fin can only show in the constant error.
-        slow = slice(0, coefficients or 2)
-        added[slow] = window_s / config.change_s
+        added[:coefficients] = window_s / config.change_s
         added[self._drifts] = 1 - kept_drift**2
         is_place = np.zeros(self.size)
         is_place[self._places] = 1.0

@@ -40,8 +40,6 @@ class ShaftTorque:
         self._session = session
         self._warn = warn
         self._is_needed = is_needed
-        self._motion = np.empty((2, 0))
-        """Times [s] and velocities [rad/s] of the previous action."""
         self._sensed = _Torque(
             "the torque of the force sensor",
             "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
@@ -65,17 +63,21 @@ class ShaftTorque:
         ]
         # NaN if the current is not measured.
         time, angle, velocity, force_time, torque, current = np.array(rows, float).T
-        motion = np.hstack([self._motion, [time, velocity]])
-        self._motion = motion[:, -len(samples) :]
         at_rest = [sample.wrench[-1] for sample in self._session.at_rest]
         # Sensors report zero for loads that they do not measure.
         if not any(at_rest) and not torque.any():
             torque[:] = math.nan
         torque -= np.mean(at_rest or [0.0])
         is_moving = bool(np.ptp(angle) > STROKE_RAD)
+        if is_moving:
+            for channel in (torque, current):
+                if channel.min() == channel.max():
+                    channel[:] = math.nan
+        # The filters of the sensor delay the force. The newest value stands for the time since
+        # then, because the fin responds to the next command even later.
+        torque = np.interp(time, force_time, torque)
         return (
-            # The force is older than the velocity.
-            self._sensed.mean(torque, np.interp(force_time, *motion), is_moving),
+            self._sensed.mean(torque, velocity, is_moving),
             self._motor.mean(self._constant(current) * current, velocity, is_moving),
         )
 
@@ -110,8 +112,7 @@ class _Torque:
     def mean(self, torque: _Series, velocity: _Series, is_moving: bool) -> Drive | None:
         """Return the mean torque and power over the samples of an action; None if the torque is
         unusable."""
-        is_frozen = is_moving and np.ptp(torque) == 0
-        if self._is_reversed or is_frozen or not np.isfinite(torque).all():
+        if self._is_reversed or not np.isfinite(torque).all():
             return None
         power_w = torque * velocity
         if is_moving:
