@@ -1,7 +1,7 @@
 """Draws the first figure of the README and the figures of the concepts, by their names:
 
     python docs/concepts.py docs/fin.png docs/concept-frame.png docs/concept-plant.png \
-        docs/concept-window.png docs/concept-gait.png docs/concept-map.png docs/concept-trim.png
+        docs/concept-window.png docs/concept-gait.png docs/concept-map.png docs/concept-feedback.png
 """
 
 import sys
@@ -18,10 +18,11 @@ from PIL import Image
 
 import softfin
 from softfin.control.controller import Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.family import load_family
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.store import load_controller
 from softfin.core.action_clock import PAPER_CLOCK
-from softfin.core.plant import hold
+from softfin.core.plant import hold, masked_mean, mean_loads, repeat
 from softfin.core.quantities import RATE_HZ, Command, action_to_command
 from softfin.evaluation.fin_figure import draw_fin
 from softfin.storage.figures import (
@@ -35,6 +36,8 @@ from softfin.storage.figures import (
     styled,
 )
 from softfin.tank import Tank
+from softfin.tank.randomization import with_parameters
+from softfin.tank.tank import TankState
 
 EXAMPLE = Path(softfin.__file__).parent / "example"
 CENTRE_RAD = 0.3
@@ -194,7 +197,7 @@ def plant(figure: Figure) -> None:
     axes.text(
         6.0,
         0.82,
-        "angle [rad]; with --trim also force (x, y) [N]",
+        "angle [rad]; with --feedback also force (x, y) [N]",
         ha="center",
         va="bottom",
         color=BLUE,
@@ -363,37 +366,53 @@ def force_map(figure: Figure) -> None:
     figure.legend(loc="outside lower center", fontsize=8)
 
 
-def trim(figure: Figure) -> None:
-    """The mean force that a controller of the example holds in the tank, with and without the outer
-    loop."""
-    tank = Tank()
+def feedback(figure: Figure) -> None:
+    """The mean force of the example's gaits in the tank before and after the fin changes, without
+    and with feedback."""
     reference_n = np.array([2.0, 1.0])
-    count = 90
+    count = 180
+    changed = with_parameters(
+        Tank(), temperature_c=-5.0, stiffness=0.7, drag=0.8, added_mass=1.1, lag=1.3, dead_time=1.3
+    )
     gaits = load_controller(EXAMPLE / "gaits")
-    steps = {
-        ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
-        for ticks in set(PAPER_CLOCK.ticks)
-    }
+    family = load_family(EXAMPLE / "gaits", gaits)
+
+    @jax.jit
+    def act(tank: Tank, state: TankState, command: Command, ticks: jax.Array) -> Any:
+        def tick(state: TankState) -> tuple[TankState, tuple[Any, Any]]:
+            state, reading = tank.advance(state, command, 1)
+            return state, (jax.tree.map(lambda x: x[0], reading), state.force, state.torque)
+
+        state, (reading, force, torque) = repeat(tick, state, ticks, PAPER_CLOCK.max_ticks)
+        shaft, motor = mean_loads(torque, reading.velocity, ticks)
+        measured = Measured(
+            reading.angle[ticks - 1], masked_mean(reading.force, ticks), shaft, motor
+        )
+        return state, measured, force
 
     def run(controller: Any) -> np.ndarray:
-        state = tank.init(jax.random.key(0))
+        state = Tank().init(jax.random.key(0))
         memory = controller.init()
         forces = []
         measured = Measured(0.0, np.zeros(2))
         for index in range(count):
             memory, command = controller.act(memory, measured, reference_n)
-            state, reading = steps[PAPER_CLOCK.ticks[index % 3]](
-                state, Command(*map(jnp.float32, command))
-            )
-            forces.append(np.asarray(reading.force))
-            measured = Measured(float(reading.angle[-1]), forces[-1].mean(axis=0))
+            ticks = PAPER_CLOCK.ticks[index % 3]
+            tank = Tank() if index < count // 2 else changed
+            state, seen, force = act(tank, state, Command(*map(jnp.float32, command)), ticks)
+            forces.append(np.asarray(force)[:ticks])
+            measured = Measured(float(seen.angle), *map(np.asarray, seen[1:]))
         return np.concatenate(forces)
 
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
-    runs = (("without", run(gaits), GREY), ("with --trim", run(DisturbanceObserver(gaits)), BLUE))
-    for axis, axes in enumerate(panels):
-        for name, force_n, colour in runs:
+    runs = [("without", gaits, GREY)]
+    for uses, colour in (("force", BLUE), ("torque", GREEN), ("both", BLACK)):
+        settings = FeedbackConfig.build({"uses": uses})
+        runs.append((f"feedback from {uses}", Feedback(gaits, settings, family), colour))
+    for name, controller, colour in runs:
+        force_n = run(controller)
+        for axis, axes in enumerate(panels):
             mean = mean_force(force_n[:, axis])
             axes.plot(
                 (np.arange(len(mean)) + PAPER_CLOCK.window_ticks) / RATE_HZ,
@@ -402,13 +421,15 @@ def trim(figure: Figure) -> None:
                 linewidth=1.6,
                 label=name,
             )
+    for axis, axes in enumerate(panels):
         axes.axhline(reference_n[axis], color=ORANGE, linestyle="--", label="reference force")
+        axes.axvline(count / 6, color=GREY, linestyle=":")
         axes.set(
             ylabel=f"mean force {'xy'[axis]} [N]",
             ylim=(reference_n[axis] - 0.35, reference_n[axis] + 0.35),
         )
-    panels[0].legend(ncols=3, loc="upper right", fontsize=8)
-    panels[1].set(xlabel="time [s]", xlim=(0, count / 3))
+    panels[0].legend(ncols=3, loc="upper left", fontsize=8)
+    panels[1].set(xlabel="time [s]; the fin changes at 30 s", xlim=(0, count / 3))
 
 
 FIGURES = {
@@ -418,7 +439,7 @@ FIGURES = {
     "concept-window": window,
     "concept-gait": gait,
     "concept-map": force_map,
-    "concept-trim": trim,
+    "concept-feedback": feedback,
 }
 
 

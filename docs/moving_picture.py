@@ -44,7 +44,7 @@ def main(target: Path) -> None:
             deviceScaleFactor=PIXEL_RATIO,
             mobile=False,
         )
-        browser.open(page, "#paused=1&trim=0")
+        browser.open(page, "#paused=1&feedback=none")
         browser.run(STYLE)
         browser.frames(2)
         frames = []

@@ -42,7 +42,7 @@ MAKING = {
 }
 SCORING = {
     f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --repeats 5 "
-    f"{trim and '--trim '}--out {name}{trim}"
+    f"{trim and '--feedback '}--out {name}{trim}"
     for name in CONTROLLERS
     for trim in ("", "-trim")
 }
@@ -167,7 +167,7 @@ Error of the true mean force in the tank, x / y in N: mean of |moving average ov
 of the sensor's noise and drift. Without force feedback a controller does not use the sensor, so that its true error is
 the same at every seed; other logs and trainings would change it.
 
-| | error | with force feedback (`--trim`) |
+| | error | with force feedback (`--feedback`) |
 | --- | --- | --- |
 {table}
 

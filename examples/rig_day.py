@@ -68,7 +68,7 @@ def day(quick: bool) -> None:
         "--out",
         "evaluation",
         "--reference=1.5,-0.5",
-        "--trim",
+        "--feedback",
     )
     softfin(*judged, *amount, *MOVES)
     softfin("run", "controller", "--reference=1.5,-0.5", "--seconds=5", "--bag", "run.mcap", *MOVES)

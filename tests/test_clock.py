@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback
 from softfin.control.policy import PolicyObservation
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ActionClock
@@ -46,7 +46,7 @@ def test_a_controller_of_another_clock(
     assert controller.clock == clock
     if make is _mapped:
         assert controller.step.table.gait_actions == clock.window_actions
-    observed = DisturbanceObserver(controller)
+    observed = Feedback(controller)
     assert observed.clock == clock
     config = EvaluateConfig(seconds=4, seeds=1, references=((1, 0),))
     summary = score_controller(observed, StrokeFin(), config).summary()

@@ -27,6 +27,7 @@ from softfin.core.configuration import Configuration, configure
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.find_family import FamilyConfig
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
@@ -57,6 +58,8 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "calibrate": tuple(CALIBRATIONS.values()),
     "map": (MapConfig(),),
     "train": tuple(TRAIN_PRESETS.values()),
+    "family": (FamilyConfig(),),
+    "run": (RunConfig(),),
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
@@ -136,7 +139,7 @@ def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(
 
 
 def test_a_command_without_its_program_is_understood_too():
-    """As `evaluate --trim`."""
+    """As `evaluate --feedback`."""
     found = [
         text
         for _, _, text in spans()

@@ -65,7 +65,7 @@ IN_THE_DAY = (
     "rig check --prove --arm",
     "rig zero --arm",
     "collect --plant rig --out dataset --arm",
-    "evaluate controller --plant rig --trim --out evaluation --arm",
+    "evaluate controller --plant rig --feedback --out evaluation --arm",
     "run controller --reference=2,0 --arm",
     "map surrogate --out controller",
 )

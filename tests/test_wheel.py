@@ -175,7 +175,7 @@ def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
         "6",
         "--bag",
         "run.mcap",
-        "--trim",
+        "--feedback",
         "--arm",
         "--yes",
         "--json",

@@ -70,9 +70,9 @@ NAMES = {
     "Workspace": "RunDirectory",
     "workspace": "run_directory",
     "Bench": "RobotSetup",
-    "TrimState": "DisturbanceObserverState",
-    "TrimConfig": "DisturbanceObserverConfig",
-    "TrimmedController": "DisturbanceObserver",
+    "TrimState": "FeedbackState",
+    "TrimConfig": "FeedbackConfig",
+    "TrimmedController": "Feedback",
 }
 """Names of classes, functions, arguments, variables and attributes -> the name to use."""
 

@@ -77,9 +77,9 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
     kinds = ("gaits", "single", "grid", "single-ppo", "grid-ppo")
     ways = {
         "tank": "--moving",
-        "tank-feedback": "--trim",
+        "tank-feedback": "--feedback",
         "perturbed": "--randomize 0.15 --repeats 20",
-        "perturbed-feedback": "--randomize 0.15 --repeats 20 --trim --moving",
+        "perturbed-feedback": "--randomize 0.15 --repeats 20 --feedback --moving",
     }
     return _in_tank(
         "Controllers from streaming surrogates in the tank",

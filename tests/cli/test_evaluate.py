@@ -61,12 +61,12 @@ def test_a_reference_file_goes_into_table_and_folder(controller, capsys, tmp_pat
 def test_random_references_are_one_line_and_the_configuration_is_kept(controller, capsys, tmp_path):
     file = tmp_path / "reference.csv"
     file.write_text("time_s,force_x_n,force_y_n\n0,1,-1\n3,2,0\n")
-    options = ("--random", "4", "--trim", "--reference-file", str(file))
+    options = ("--random", "4", "--feedback", "--reference-file", str(file))
     main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), *options])
     assert "4 random references: error x, y mean " in capsys.readouterr().out
     written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert len(written["random"]["errors_n"]) == written["configuration"]["random"] == 4
-    assert written["configuration"]["trim"]["drift_s"] == 300
+    assert written["configuration"]["feedback"]["drift_s"] == 300
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,11 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
 
 
 def test_a_misspelt_option_is_named_although_it_took_the_controller(controller, capsys):
-    for option, nearest in (("--feedbck", ""), ("--trm", "--trim"), ("--sedes", "--seeds")):
+    for option, nearest in (
+        ("--feedbck", "--feedback"),
+        ("--trim", "--feedback"),
+        ("--sedes", "--seeds"),
+    ):
         with pytest.raises(SystemExit):
             main(["evaluate", option, controller])
         line = capsys.readouterr().err

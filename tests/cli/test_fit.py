@@ -7,12 +7,21 @@ import pytest
 from softfin.cli import main
 from softfin.core.action_clock import ActionClock
 from softfin.core.errors import ConfigurationError
+from softfin.core.plant_identity import identity
 from softfin.stages.controllers import find_clock
 from softfin.stages.surrogates import issue_line
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
-from softfin.surrogate import FitConfig, StreamingConfig, StreamingSurrogate, load_surrogate
+from softfin.surrogate import (
+    FitConfig,
+    StreamingConfig,
+    StreamingSurrogate,
+    load_surrogate,
+    save_surrogate,
+)
 from softfin.surrogate.registry import find_architecture
+from softfin.surrogate.streaming.refit import Refit
+from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
 
@@ -165,13 +174,88 @@ def test_warnings_are_told_in_one_line_and_notes_alone_are_not(counts, line):
     assert issue_line(counts, Path("d")) == line
 
 
-def test_one_log_is_too_few(capsys, tmp_path):
-    write_dataset(tmp_path / "one", [small.recorded(700)], [], {})
-    line = fails(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
-    assert (
-        "training logs: found 1, expected at least 2, one for training and one held out; record more"
-        in line
-    )
+def test_one_log_is_enough_because_its_end_is_held_out(capsys, tmp_path, asked):
+    write_dataset(tmp_path / "one", [small.recorded(2000)], [], {})
+    text = run(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
+    assert "in 1 held-out log" in text
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Folder of a surrogate to refit."""
+    path = tmp_path / "start"
+    save_surrogate(path, small.surrogate(), None, {}, stroke_s=0.31, fin="blue")
+    return path
+
+
+@pytest.mark.parametrize("is_better", [False, True])
+def test_a_refit_states_its_start_its_logs_and_what_is_kept(
+    capsys, tmp_path, dataset, start, monkeypatch, is_better
+):
+    fitted = small.surrogate(seed=int(is_better))
+    monkeypatch.setattr(Refit, "fit", lambda self, *_: fitted)
+    out = tmp_path / "s"
+    words = ["fit", dataset, "--start", str(start), "--out", str(out)]
+    text = run(capsys, *words)
+    (line,) = [line for line in text.splitlines() if line.endswith("is kept")]
+    assert line.startswith(f"{start}: error of the predicted force ")
+    assert line.endswith("the refit is kept" if is_better else f"{start} is kept")
+    description = artifacts.load_description(out, "surrogate")
+    refit = description["provenance"]["refit"]
+    assert refit["start"] == str(start)
+    assert refit["identity"] == identity(load_surrogate(start))
+    assert refit["minutes"] == pytest.approx(3 * 300 / 6000)
+    assert (refit["scores"] == description["scores"]) == (not is_better)
+    assert (description["stroke_s"], description["fin"]) == (0.31, "blue")
+    said = json.loads(run(capsys, *words, "--resume", "--json"))
+    assert said["refit"] == refit
+
+
+def test_a_refit_with_a_different_start_is_not_continued(
+    capsys, tmp_path, dataset, start, monkeypatch
+):
+    monkeypatch.setattr(Refit, "fit", lambda self, *_: small.surrogate())
+    words = ["fit", dataset, "--start", str(start), "--out", str(tmp_path / "s"), "--resume"]
+    run(capsys, *words)
+    save_surrogate(start, small.surrogate(seed=1), None, {}, overwrite=True)
+    assert "start was" in fails(capsys, *words)
+
+
+@pytest.mark.parametrize("model", ["paper", "streaming"])
+def test_only_streaming_surrogates_are_refitted(capsys, tmp_path, dataset, start, model):
+    save_surrogate(tmp_path / "paper", paper.surrogate(), None, {})
+    chosen = start if model == "paper" else tmp_path / "paper"
+    out = tmp_path / "s"
+    words = ["--start", str(chosen), "--model", model, "--out", str(out)]
+    assert f"--start {chosen}" in fails(capsys, "fit", dataset, *words)
+    assert not out.exists()
+
+
+def test_a_start_with_other_channels_is_refused(capsys, tmp_path, dataset, start):
+    file = start / "surrogate.json"
+    description = json.loads(file.read_text())
+    description["channels"]["out"].append("torque_nm")
+    file.write_text(json.dumps(description))
+    words = ["fit", dataset, "--start", str(start), "--out", str(tmp_path / "s")]
+    assert "unsupported channels" in fails(capsys, *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--members", "3"], "--members"),
+        (["--drive.units", "4"], "--drive"),
+        (["--force.wake", "1"], "--force"),
+        (["--start", "nothing"], "nothing"),
+    ],
+)
+def test_what_cannot_be_refitted_is_one_line_and_leaves_nothing(
+    capsys, tmp_path, dataset, start, words, expected
+):
+    out = tmp_path / "s"
+    line = fails(capsys, "fit", dataset, "--start", str(start), *words, "--out", str(out))
+    assert expected in line
+    assert not out.exists()
 
 
 def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from softfin.cli.output import progress
+from softfin.control.feedback import Feedback
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.rig.arming import Arming
@@ -128,7 +129,8 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     monkeypatch.setattr(driving.STATUS, "show", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    drive = driving.Drive(load_controller(controller), BENCH, Arming(), 1, None, trim=False)
+    loaded = load_controller(controller)
+    drive = driving.Drive(loaded, loaded, BENCH, Arming(), 1, None)
     drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
     assert session.stop_request.trip == (
         "emergency_stop",
@@ -145,20 +147,23 @@ def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
     monkeypatch.setattr(driving, "run_controller", lambda *_: map(held, forces))
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    drive = driving.Drive(load_controller(controller), BENCH, Arming(), None, None, trim=False)
+    loaded = load_controller(controller)
+    drive = driving.Drive(loaded, loaded, BENCH, Arming(), None, None)
     result = {}
     drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), result, "Enter")
     assert result["error_x_n"] == pytest.approx(0.5)
     assert result["window_s"] == 2
 
 
-@pytest.mark.parametrize(("trim", "lines"), [(True, 1), (False, 0)])
+@pytest.mark.parametrize(("has_feedback", "lines"), [(True, 1), (False, 0)])
 def test_feedback_names_the_key_without_which_the_current_is_not_used(
-    controller, trim, lines, capsys
+    controller, has_feedback, lines, capsys
 ):
+    loaded = load_controller(controller)
+    acting = Feedback(loaded) if has_feedback else loaded
     machine = FreeFin(Hours())
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    drive = driving.Drive(load_controller(controller), BENCH, Arming(), 3, None, trim=trim)
+    drive = driving.Drive(loaded, acting, BENCH, Arming(), 3, None)
     with session:
         session.activate()
         drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")

@@ -29,13 +29,13 @@ import softfin.rig.rig
 import softfin.storage.bag.recovery
 from pathlib import Path
 from softfin.control.controller import Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 
 for folder in sys.argv[2:]:
     controller = load_controller(Path(folder))
-    for each in (controller, DisturbanceObserver(controller)):
+    for each in (controller, Feedback(controller)):
         state = each.init()
         for index in range(9):
             reference, _ = resolve_reference(each, (1.0 + index / 8, 0.5), False)
@@ -45,7 +45,7 @@ for folder in sys.argv[2:]:
 
 WITH = """
 import sys
-import softfin.control.disturbance_observer
+import softfin.control.feedback
 import softfin.control.store
 assert not {"jax", "jaxlib"} & set(sys.modules), "imported"
 """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Controller, LoadedController, Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback
 from softfin.control.gait import GaitStep
 from softfin.control.store import load_controller
 from softfin.core.errors import CoverageError
@@ -59,7 +59,7 @@ def test_it_covers_its_lattice_and_no_more() -> None:
 
 
 def test_a_gait_controller_with_an_observer_acts_within_a_compiled_program() -> None:
-    observed = DisturbanceObserver(CONTROLLER)
+    observed = Feedback(CONTROLLER)
     measured = Measured(jnp.float32(0), jnp.zeros(2))
     reference = jnp.asarray([1.0, 0.0])
     act = jax.jit(lambda controller, state: controller.act(state, measured, reference)[1])

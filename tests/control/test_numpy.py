@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Artifact, Measured
-from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.store import load_controller
 from softfin.core.errors import RunError
 from softfin.core.operations import NUMPY
@@ -78,13 +78,13 @@ def test_an_episode_is_the_same_without_jax(kind: str, folders: dict[str, Path])
 
 @pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
 def test_with_the_outer_loop_too(kind: str, folders: dict[str, Path]) -> None:
-    config = DisturbanceObserverConfig(noise_n=0.02, lag_actions=2)
+    config = FeedbackConfig(noise_n=0.02)
     played = episode(2)
     # Long enough at one reference that something is learnt.
     played[2][60:120] = (1.8, 0.3)
-    controller = DisturbanceObserver(load_controller(folders[kind]), config)
+    controller = Feedback(load_controller(folders[kind]), config)
     commands, states = original(controller, played)
-    assert np.abs(states.bias).max() > 0.1
+    assert np.abs(states.mean).max() > 0.1
     np.testing.assert_allclose(native(controller, played), commands, atol=2e-5)
 
 
@@ -120,7 +120,7 @@ def test_a_compiled_program_serves_controllers_of_any_origin(
         measured = Measured(jnp.float32(0.1), jnp.zeros(2))
         return controller.act(controller.init(), measured, jnp.ones(2))[1]
 
-    for wrapped in (lambda inner: inner, DisturbanceObserver):
+    for wrapped in (lambda inner: inner, Feedback):
         traces.clear()
         assert first_command(wrapped(controller)) == first_command(wrapped(other))
         assert len(traces) == 1
@@ -150,7 +150,7 @@ def test_a_state_may_be_acted_on_again(kind: str, folders: dict[str, Path]) -> N
 def test_commands_stay_within_the_limits_at_whatever_is_measured(
     kind: str, folders: dict[str, Path]
 ) -> None:
-    controller = DisturbanceObserver(load_controller(folders[kind]))
+    controller = Feedback(load_controller(folders[kind]))
     limits = controller.limits
     state = controller.init()
     for number in (0.0, 1e6, -1e6, 1e-30, 3.0, -1e6, 1e6):

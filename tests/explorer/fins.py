@@ -11,7 +11,7 @@ import numpy as np
 
 from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
-from softfin.tank import Tank, TankConfig
+from softfin.tank import Tank, TankConfig, with_parameters
 
 QUIET = {"noise_n": 0, "drift_n": 0, "resolution_n": 0}
 """The parts of the sensor that the page leaves out."""
@@ -43,23 +43,29 @@ def as_doubles(tree: Any) -> Any:
     )
 
 
-def roll_tank(tank: Tank, commands: Command, double: bool) -> np.ndarray:
-    """Angle, velocity and force after each command."""
+def roll_tank(
+    tank: Tank, commands: Command, double: bool, factors: np.ndarray | None = None
+) -> np.ndarray:
+    """Angle, velocity, force, and torque on the fin and of the motor after each command, with
+    factors of stiffness and drag during each ``(ticks, 2)``."""
+    if factors is None:
+        factors = np.ones((len(commands.angle), 2), np.float32)
 
-    def roll(tank: Tank, state: Any, commands: Command) -> Any:
-        def tick(state: Any, command: Command) -> Any:
-            state, reading, _ = tank.tick(state, command)
-            return state, jnp.concatenate(
-                [jnp.stack([reading.angle, reading.velocity]), reading.force]
-            )
+    def roll(tank: Tank, state: Any, commands: Command, factors: Any) -> Any:
+        def tick(state: Any, given: Any) -> Any:
+            command, (stiffness, drag) = given
+            changed = with_parameters(tank, stiffness=stiffness, drag=drag)
+            state, reading, _ = changed.tick(state, command)
+            motion = jnp.stack([reading.angle, reading.velocity])
+            return state, jnp.concatenate([motion, reading.force, state.torque])
 
-        return jax.lax.scan(tick, state, commands)[1]
+        return jax.lax.scan(tick, state, (commands, factors))[1]
 
-    state = tank.init(jax.random.key(0))
+    given = (tank, tank.init(jax.random.key(0)), commands, factors)
     if not double:
-        return np.asarray(jax.jit(roll)(tank, state, commands))
+        return np.asarray(jax.jit(roll)(*given))
     with doubles():
-        return np.asarray(jax.jit(roll)(*as_doubles((tank, state, commands))))
+        return np.asarray(jax.jit(roll)(*as_doubles(given)))
 
 
 @jax.jit

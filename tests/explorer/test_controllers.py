@@ -6,28 +6,34 @@ import numpy as np
 import pytest
 
 from softfin.control.controller import Measured
-from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.control.references import nearest_trackable
 from softfin.control.store import load_controller
-from softfin.core.action_clock import PAPER_CLOCK
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CoverageError
-from softfin.core.operations import select_operations
+from softfin.core.operations import NUMPY, select_operations
 from softfin.core.quantities import Command, Limits
 from softfin.core.window import moving_error, sobolev, window_mean
-from softfin.explorer.contents import controller_data, hand_data, plant_data, surrogate_data
+from softfin.explorer.contents import (
+    controller_data,
+    hand_data,
+    plant_data,
+    surrogate_data,
+    tank_data,
+)
 from softfin.gaits.reachable import Reachable
 from softfin.tank import Tank, TankConfig
 from tests.control.folders import KINDS, folder_option
 from tests.control.test_numpy import episode
-from tests.explorer import fins, node
+from tests.explorer import families, fins, node
 from tests.surrogate.streaming import small
 
 ACT = """
-output = [false, true].map((trimmed) => {
+output = ["none", "force"].map((uses) => {
   const controller = new Controller(input.controller);
-  controller.trim(trimmed, 0);
+  controller.useFeedback(uses, 0);
   return input.episode.map(([angle, force, reference]) => {
-    const command = controller.act(angle, force, reference);
+    const command = controller.act({ angle, force }, reference);
     return [command.angle, command.velocity];
   });
 });
@@ -36,7 +42,7 @@ output = [false, true].map((trimmed) => {
 LOOP = """
 const plants = { own: new StreamingSurrogate(input.plant) };
 const loop = new Loop(plants, "own", new Controller(input.controller), input.references[0]);
-loop.controller.trim(true, 0);
+loop.controller.useFeedback("force", 0);
 output = input.references.map((reference) => {
   loop.reference = reference;
   const { force } = loop.tick(), window = loop.averages.own;
@@ -57,7 +63,7 @@ def test_a_controller_commands_what_it_commands_with_numpy(controllers, kind):
     played = episode(5)
     rows = [list(row) for row in zip(*(part.tolist() for part in played), strict=True)]
     page = np.array(node.run(ACT, controller=controller_data(controller), episode=rows))
-    for acting, commands in zip((controller, DisturbanceObserver(controller)), page, strict=True):
+    for acting, commands in zip((controller, Feedback(controller)), page, strict=True):
         state = acting.init()
         expected = []
         for angle, force, reference in rows:
@@ -68,9 +74,9 @@ def test_a_controller_commands_what_it_commands_with_numpy(controllers, kind):
 
 
 def closed(controller, surrogate, references):
-    """Command and force of every tick, with the outer loop, under a reference that each action
+    """Command and force of every tick, with feedback, under a reference that each action
     observes anew."""
-    acting = DisturbanceObserver(controller)
+    acting = Feedback(controller)
     (plant, roll) = fins.roll_surrogate(surrogate)
     state = acting.init()
     rows = []
@@ -101,12 +107,10 @@ def test_thirty_seconds_of_moving_references_are_the_same_in_the_closed_loop(con
     )
     assert np.all(np.isfinite(page[:, 6:8]).all(axis=1) == (np.arange(len(page)) >= 199))
     expected = closed(controller, surrogate, references)
-    np.testing.assert_allclose(page[:, :2], expected[:, :2], atol=1e-5, rtol=0)
-    # Policies run in single precision with NumPy, and what that rounds off the commands shows at
+    np.testing.assert_allclose(page[:, :2], expected[:, :2], atol=1e-6, rtol=0)
+    # Controllers run in single precision with NumPy, and what that rounds off the commands shows at
     # corners of the force.
-    np.testing.assert_allclose(
-        page[:, 2:4], expected[:, 2:], atol=3e-5 if kind == "grid" else 1e-5, rtol=0
-    )
+    np.testing.assert_allclose(page[:, 2:4], expected[:, 2:], atol=8e-5, rtol=0)
     for tick in (50, 199, 1000, 2999):
         force = expected[: tick + 1, 2:]
         count = np.int64(min(tick + 1, 200))
@@ -191,30 +195,112 @@ def test_without_a_controller_the_size_of_a_fin_shows_in_its_peak_force():
     assert peaks[1] < peaks[0] / 2
 
 
-@pytest.mark.parametrize("begun", [0, 1, 2])
-def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
-    """It weighs actions of 33 and 34 ticks by their place on the clock: here those of 34 alone make
-    a force, 1 N."""
-    # So unsure of its measurements that it learns next to nothing, and that no error looks like a
-    # change of the fin.
-    trim = controller_data(controllers["single"])["trim"] | {
-        "bias_n": 1e-3,
-        "noise_n": 1.0,
-        "drift_n": 0.0,
-    }
-    gain = trim["bias_n"] ** 2 / (trim["bias_n"] ** 2 + 6 * trim["noise_n"] ** 2)
-    bias = node.run(
+FEEDBACK = """
+const controller = new Controller(input.controller);
+controller.useFeedback(input.uses, 0);
+output = input.episode.map(({ reference, ...measured }) => {
+  const command = controller.act(measured, reference);
+  const { mean, half, level } = controller.feedback.estimate();
+  return [command.angle, command.velocity, ...mean, ...half, level];
+});
+"""
+
+
+def play(feedback, family):
+    """Measurements of fins that differ from each other from one stretch to the next, with
+    references that move, and what feedback commands and estimates."""
+    numbers = np.random.default_rng(5)
+    actions = feedback.clock.window_actions
+    state = feedback.init()
+    rows = []
+    expected = []
+    measured = Measured(0.0, *np.zeros((3, 2)))
+    stretches = [[0, 0, 0], [1, -0.5, 0.3], [1, -0.5, 0.3], [-1, 1, 1], [0, 0, 0]]
+    for stretch, coefficients in enumerate(stretches):
+        is_torn = stretch == 3
+        reference = numbers.uniform((1, 0), (2, 1))
+        for age in range(4 * actions):
+            if age > 2 * actions:
+                reference = reference + numbers.normal(size=2) * 0.01
+            given = {name: np.asarray(part).tolist() for name, part in measured._asdict().items()}
+            rows.append({**given, "reference": reference.tolist()})
+            state, command = feedback.act(state, measured, reference)
+            found = feedback.estimate(state)
+            expected.append([*command, *found.force, *found.half_width, found.level])
+            own = (np.array([age % actions]),)
+            (nominal,) = family.interpolate(NUMPY, state.tracked[-1:], family.nominal, own=own)
+            (changes,) = family.interpolate(NUMPY, state.tracked[-1:], family.features, own=own)
+            seen = nominal[0] + coefficients @ changes[0]
+            seen = seen + family.feature_spread * numbers.normal(size=7) * (1 if is_torn else 0.01)
+            measured = Measured(seen[2], seen[:2], seen[3:5], seen[5:])
+    return rows, np.array(expected, float)
+
+
+@pytest.mark.parametrize("uses", ["force", "torque", "both"])
+@pytest.mark.parametrize(
+    "clock", [PAPER_CLOCK, ActionClock.at(5), ActionClock.at(8, 0.75)], ids=str
+)
+def test_feedback_finds_and_commands_what_it_does_with_numpy_while_the_fin_changes(clock, uses):
+    controller = families.gaits_at(clock)
+    family = families.random_family(controller)
+    feedback = Feedback(controller, FeedbackConfig(uses=uses), family)
+    rows, expected = play(feedback, family)
+    data = controller_data(controller, family)
+    script = f"useClock(input.controller.clock);{FEEDBACK}"
+    page = np.array(node.run(script, controller=data, uses=uses, episode=rows))
+    np.testing.assert_allclose(page[:, :2], expected[:, :2], atol=1e-5)
+    np.testing.assert_allclose(page[:, 2:6], expected[:, 2:6], atol=1e-6)
+    np.testing.assert_allclose(page[:, 6], expected[:, 6], rtol=1e-5)
+    assert np.ptp(expected[:, 6]) > 3, "the fin is not always of the family"
+
+
+def test_feedback_sees_the_means_of_force_torque_and_power_over_each_action():
+    controller = families.gaits_at(PAPER_CLOCK)
+    ticks, measured = node.run(
         """
-        const observer = new DisturbanceObserver(input.trim, input.cells, null, input.begun);
-        const act = (action) => observer.correct([(action + 2) % 3 === 2 ? 1 : 0, 0], [2, 0]);
-        for (let k = 0; k <= input.trim.settle_actions; k++) act(input.begun + k);
-        output = observer.bias[0];
+        const loop = new Loop({ tank: new Tank(input.plant) }, "tank", new Controller(input.controller), [1.5, 0.5]);
+        const ticks = [], measured = [], act = loop.controller.act.bind(loop.controller);
+        loop.controller.act = (now, reference) => {
+          measured.push([now.angle, ...now.force, ...now.shaft, ...now.motor]);
+          return act(now, reference);
+        };
+        for (let k = 0; k < 301; k++) {
+          const { angle, velocity, force, torque, motorTorque } = loop.tick();
+          ticks.push([angle, ...force, torque, velocity, motorTorque, velocity]);
+        }
+        output = [ticks, measured];
         """,
-        trim=trim,
-        cells=controller_data(controllers["single"])["cells"],
-        begun=begun,
+        controller=controller_data(controller),
+        plant=tank_data(Tank(TankConfig(sensor=fins.QUIET))),
     )
-    np.testing.assert_allclose(bias / gain, 0.34 - 2, atol=1e-9)
+    assert measured[0] == [0] * 7
+    ends = np.cumsum(PAPER_CLOCK.action_ticks(9))
+    for end, start, seen in zip(ends, [0, *ends[:-1]], measured[1:], strict=True):
+        action = np.array(ticks[start:end])
+        velocity = action[:, 4]
+        # Torques are means over a tick, velocities from its end.
+        between = (np.concatenate([velocity[:1], velocity[:-1]]) + velocity) / 2
+        action[:, [4, 6]] = action[:, [3, 5]] * between[:, None]
+        np.testing.assert_allclose(seen, [action[-1, 0], *action[:, 1:].mean(axis=0)], atol=1e-12)
+    assert np.ptp(measured, axis=0).min() > 0.01
+
+
+def test_feedback_that_begins_within_a_window_waits_for_a_full_one():
+    controller = families.gaits_at(PAPER_CLOCK)
+    data = controller_data(controller, families.random_family(controller))
+    changed = node.run(
+        """
+        const controller = new Controller(input.controller), measured = { angle: 0.1, force: [1, 0], shaft: [0.1, 0.2], motor: [0.1, 0.3] };
+        output = [];
+        for (let action = 0; action < 30; action++) {
+          if (action === 15) controller.useFeedback("both", action);
+          controller.act(measured, [1.5, 0.5]);
+          if (action >= 15 && controller.feedback.mean.some((value) => value !== 0)) output.push(action);
+        }
+        """,
+        controller=data,
+    )
+    assert changed == list(range(24, 30))
 
 
 def test_where_cells_touch_the_same_policy_acts(controllers):

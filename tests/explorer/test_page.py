@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softfin.control.store import save_gaits
+from softfin.control.family import save_family
+from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.explorer.page import DRAWN, read_script
@@ -18,6 +19,7 @@ from softfin.surrogate import save_surrogate
 from tests.browser import Browser
 from tests.control.folders import folder_option
 from tests.evaluation.test_report import Page
+from tests.explorer.families import random_family
 from tests.surrogate.streaming import small
 
 
@@ -40,6 +42,9 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("explore")
     folder_option("grid", out)
     gaits(out / "gaits")
+    controller = load_controller(out / "gaits")
+    family = random_family(controller)
+    save_family(out / "gaits", controller, family, {"configuration": {"fins": 64}})
     save_surrogate(
         out / "<b>fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
     )
@@ -165,15 +170,17 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
         opened.run("draw() || element('status').textContent")
         == f"Target {force_text(asked(opened))} N: press Play."
     )
-    opened.run("run(400); draw()")
-    assert opened.run("loop.time") == 400
+    opened.run("run(420); draw()")
+    assert opened.run("loop.time") == 420
     assert opened.run("loop.history.at(-1).reference") == asked(opened)
-    assert opened.run("element('time').textContent") == "4.0 s"
+    assert opened.run("element('time').textContent") == "4.2 s"
     added = np.subtract(opened.run("loop.controller.tracked"), asked(opened))
     assert np.abs(added).max() > 0.01
-    assert (
-        opened.run("element('bias').textContent") == f"Force feedback adds {force_text(added)} N."
-    )
+    state = opened.run("element('feedback-state').textContent")
+    assert state.startswith(f"Feedback adds {force_text(added)} N;")
+    estimate = opened.run("loop.controller.feedback.estimate()")
+    assert opened.run("element('estimate-x').textContent") == f"{estimate['mean'][0]:.2f}"
+    assert opened.run("element('within-x').textContent") == f"{estimate['half'][0]:.2f}"
     assert float(opened.run("element('error-x').textContent")) == pytest.approx(
         opened.run("loop.error()[0]"), abs=1e-3
     )
@@ -263,7 +270,7 @@ def test_no_mean_over_the_window_is_shown_before_the_window_is_full(opened):
     assert np.isfinite(opened.run("loop.history.at(-1).mean")).all()
 
 
-def test_the_main_table_has_plain_labels_and_force_feedback_one_name(page):
+def test_the_main_table_has_plain_labels_and_feedback_one_name(page):
     html = page.read_text()
     table = html[html.index("<table>") : html.index("</table>")]
     assert "Sobolev" not in table
@@ -301,15 +308,16 @@ def test_the_keyboard_alone_does_everything(opened):
     opened.press("ArrowLeft", left, shift=True)
     np.testing.assert_allclose(asked(opened), (1.6, 0.5))
     for key, changed in (
-        ("t", "!chosen.trim"),
-        ("w", "chosen.cold"),
+        ("t", "chosen.feedback === 'none'"),
         ("c", "chosen.controller === 1"),
     ):
         assert not opened.run(changed)
         opened.press(key, ord(key.upper()))
         assert opened.run(changed)
-    opened.press("f", 70)
-    assert opened.run("[chosen.fin, loop.plants[0].stiffness]") == ["1.4", 1.4]
+    opened.run("element('stiffness').focus()")
+    opened.press("ArrowRight", right)
+    assert opened.run("[chosen.stiffness, loop.plants[0].stiffness, loop.time]") == [101, 1.01, 0]
+    np.testing.assert_allclose(asked(opened), (1.6, 0.5))
     opened.press("p", 80)
     assert opened.run("loop.plants[0].flow.stream") == [0, 0.6]
     before = opened.run("loop.time")
@@ -330,9 +338,9 @@ def test_the_keyboard_alone_does_everything(opened):
         "controller",
         "plant",
         "speed",
-        "trim",
-        "fin",
-        "cold",
+        "feedback",
+        "stiffness",
+        "drag",
         "push",
         "plane",
         "x",
@@ -345,23 +353,17 @@ def test_the_keyboard_alone_does_everything(opened):
     assert opened.run("element('x').value") != "", "the arrow belongs to the field there"
 
 
-STATE = "#controller=grid&plant=%3Cb%3Efin&reference=1.20,-0.70&speed=0.25&trim=0&paused=1"
+STATE = "#controller=grid&plant=%3Cb%3Efin&reference=1.20,-0.70&speed=0.25&feedback=none&paused=1"
 
 
 @pytest.mark.parametrize("opened", [STATE], indirect=True)
 def test_a_link_holds_the_state(opened):
     assert opened.run(
-        "[chosen.controller, chosen.plant, chosen.speed, chosen.trim, chosen.paused]"
-    ) == [
-        1,
-        1,
-        "0.25",
-        False,
-        True,
-    ]
+        "[chosen.controller, chosen.plant, chosen.speed, chosen.feedback, chosen.paused]"
+    ) == [1, 1, "0.25", "none", True]
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
-    assert opened.run("loop.controller.observer === null")
-    assert opened.run("['cold', 'push', 'fin'].every((name) => element(name).disabled)")
+    assert opened.run("loop.controller.feedback === null")
+    assert opened.run("['push', 'stiffness', 'drag'].every((name) => element(name).disabled)")
     assert opened.run("element('link').getAttribute('href')") == address(opened)
     opened.run("location.hash = '#controller=none&plant=tank&reference=what,1&speed=7'")
     opened.frames(2)
@@ -372,18 +374,13 @@ def test_a_link_holds_the_state(opened):
     )
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     # Copied there and opened here, it says what is as it was at first, too.
-    opened.run("choose({ speed: '1', fin: '1', cold: false, trim: true, plant: 0 })")
+    opened.run("choose({ speed: '1', stiffness: 100, feedback: 'both', plant: 0 })")
     usual = address(opened)
-    opened.run("choose({ speed: '0.25', fin: '1.4', cold: true, trim: false })")
+    opened.run("choose({ speed: '0.25', stiffness: 70, feedback: 'force' })")
     assert address(opened) != usual
     opened.run(f"location.hash = '{usual}'")
     opened.frames(2)
-    assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == [
-        "1",
-        "1",
-        False,
-        True,
-    ]
+    assert opened.run("[chosen.speed, chosen.stiffness, chosen.feedback]") == ["1", 100, "both"]
 
 
 def test_a_restart_clears_the_figures(opened):
@@ -409,7 +406,7 @@ def test_pushes_do_not_add_up_and_a_key_that_is_held_acts_once(opened):
     for repeat in ("false", "true", "true"):
         key = f"{{ key: 't', repeat: {repeat}, bubbles: true }}"
         opened.run(f"document.body.dispatchEvent(new KeyboardEvent('keydown', {key}))")
-    assert not opened.run("chosen.trim")
+    assert opened.run("chosen.feedback") == "none"
     for _ in range(40):
         opened.run("element('push').click()")
     assert opened.run("loop.plants[0].flow.stream") == [0, 0.6]
@@ -428,6 +425,55 @@ def test_controllers_and_plants_are_switched_in_place(opened):
     opened.run("run(100); draw()")
     assert opened.run("loop.time") == 600
     assert opened.run("element('predicted-x').textContent === element('mean-x').textContent")
+
+
+def test_feedback_uses_what_is_chosen_and_says_what_it_finds(opened):
+    def state():
+        return opened.run("draw() || element('feedback-state').textContent")
+
+    assert opened.run("choicesOf('feedback')") == ["none", "force", "torque", "both"]
+    assert opened.run("loop.controller.feedback.uses") == "both"
+    opened.run("run(820)")
+    # These gaits are not those of this random family.
+    assert state().endswith("the fin is not of the family: only the mean force counts.")
+    for _, uses in zip(range(4), ("none", "force", "torque", "both"), strict=True):
+        opened.press("t", ord("T"))
+        assert opened.run("loop.controller.feedback?.uses ?? 'none'") == uses
+        assert (opened.run("loop.controller.feedback === null")) == (uses == "none")
+    opened.run("choose({ feedback: 'torque', plant: 1 }); run(50)")
+    assert state() == "No torque is measured in a surrogate."
+    opened.run("choose({ controller: 1, plant: 0 }); run(50)")
+    assert state() == "Feedback from torque needs a family of fins."
+    assert opened.run("loop.controller.feedback === null")
+    opened.run("choose({ feedback: 'none' }); run(50)")
+    assert state() == ""
+    assert opened.run("element('estimate-x').textContent") == "\u2013"
+
+
+def test_sliders_change_the_fin_while_it_beats_and_a_restart_makes_it_new(opened):
+    opened.run("run(250)")
+    slide(opened, "stiffness", 70)
+    slide(opened, "drag", 130)
+    assert opened.run("[loop.time, loop.plants[0].stiffness, loop.plants[0].drag]") == [
+        250,
+        0.7,
+        1.3,
+    ]
+    assert opened.run("[element('stiffness-value').textContent, watched.what]") == [
+        "70",
+        "the change",
+    ]
+    held = address(opened)
+    assert "stiffness=70&drag=130" in held
+    opened.run("element('restart').click()")
+    assert opened.run("[loop.time, loop.plants[0].stiffness, loop.plants[0].drag]") == [0, 1, 1]
+    assert "stiffness=100&drag=100" in address(opened)
+    opened.run(f"location.hash = '{held}'")
+    opened.frames(2)
+    assert opened.run("[loop.plants[0].stiffness, loop.plants[0].drag]") == [0.7, 1.3]
+    opened.run("location.hash = '#stiffness=20&drag=what'")
+    opened.frames(2)
+    assert opened.run("[chosen.stiffness, chosen.drag]") == [50, 130]
 
 
 SHOWN = """

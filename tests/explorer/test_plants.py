@@ -8,8 +8,8 @@ import pytest
 
 from softfin.core.errors import PlantError
 from softfin.core.plant import roll
-from softfin.explorer.contents import COLD_C, plant_data, surrogate_data, tank_data
-from softfin.tank import Tank, TankConfig, with_parameters
+from softfin.explorer.contents import plant_data, surrogate_data, tank_data
+from softfin.tank import Tank, TankConfig
 from tests.explorer import fins, node
 from tests.plants import AnalyticFin
 from tests.surrogate import small as paper
@@ -20,11 +20,11 @@ TICKS = 3000
 
 ROLL = """
 const make = { tank: Tank, surrogate: StreamingSurrogate }[input.plant.kind], plant = new make(input.plant);
-Object.assign(plant, input.conditions);
 output = input.commands.map(([angle, velocity], tick) => {
   if (tick === input.pushed) plant.push([0.1, -0.4]);
+  if (input.factors) [plant.stiffness, plant.drag] = input.factors[tick];
   const reading = plant.tick({ angle, velocity });
-  return [reading.angle, reading.velocity, ...reading.force, plant.distance ? plant.distance() : 0,
+  return [reading.angle, reading.velocity, ...reading.force, reading.torque ?? 0, reading.motorTorque ?? 0, plant.distance ? plant.distance() : 0,
     ...(plant.halfWidth ? [0, 1].map((axis) => plant.halfWidth(reading.forces.map((force) => force[axis]))) : [0, 0])];
 });
 """
@@ -32,7 +32,7 @@ output = input.commands.map(([angle, velocity], tick) => {
 
 def moved(plant, commands, **given):
     rows = np.stack(commands, axis=1).astype(float).tolist()
-    return np.array(node.run(ROLL, plant=plant, commands=rows, conditions={}, **given))
+    return np.array(node.run(ROLL, plant=plant, commands=rows, **given))
 
 
 def test_a_surrogate_moves_as_in_double_precision_and_nearly_as_in_single():
@@ -44,14 +44,14 @@ def test_a_surrogate_moves_as_in_double_precision_and_nearly_as_in_single():
     np.testing.assert_allclose(page[:, :4], reading, atol=1e-6, rtol=0)
     assert np.abs(page[:, 2:4]).max() > 1
     half_width = surrogate.interval.half_width(forces)
-    np.testing.assert_allclose(page[:, 5:], half_width, atol=1e-6)
+    np.testing.assert_allclose(page[:, 7:], half_width, atol=1e-6)
 
     start = surrogate.init(jax.random.key(0))
     after, reading = jax.jit(lambda state, commands: roll(surrogate, state, commands))(
         start, commands
     )
     np.testing.assert_allclose(page[:, 2:4], reading.force, atol=1e-4)
-    np.testing.assert_allclose(page[-1, 4], surrogate.distance(after), rtol=1e-4)
+    np.testing.assert_allclose(page[-1, 6], surrogate.distance(after), rtol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_tank_moves_as_in_double_precision_and_nearly_as_in_single(config):
     tank = Tank(config)
     commands = small.commands(500, seed=2)
     page = moved(tank_data(tank), commands)
-    np.testing.assert_allclose(page[:, :4], fins.roll_tank(tank, commands, double=True), atol=1e-9)
+    np.testing.assert_allclose(page[:, :6], fins.roll_tank(tank, commands, double=True), atol=1e-9)
     # The rounding of single precision depends on how XLA divides a program.
     np.testing.assert_allclose(
         page[:, 2:4], fins.roll_tank(tank, commands, double=False)[:, 2:4], atol=2e-3
@@ -69,17 +69,21 @@ def test_a_tank_moves_as_in_double_precision_and_nearly_as_in_single(config):
     assert np.abs(page[:, 2:4]).max() > 2
 
 
-def test_another_stiffness_and_cold_water_are_those_of_other_tanks():
-    tank = Tank(fins.UNUSUAL)
-    commands = small.commands(300, seed=3)
-    other = with_parameters(tank, stiffness=1.4, temperature_c=COLD_C - tank.water.temperature)
-    rows = np.stack(commands, axis=1).astype(float).tolist()
-    conditions = {"stiffness": 1.4, "cold": True}
-    page = np.array(node.run(ROLL, plant=tank_data(tank), commands=rows, conditions=conditions))
-    np.testing.assert_allclose(
-        page[:, 2:4], fins.roll_tank(other, commands, double=True)[:, 2:], atol=1e-5
-    )
-    assert np.abs(page[:, 2:4] - fins.roll_tank(tank, commands, double=True)[:, 2:]).max() > 0.05
+@pytest.mark.parametrize(
+    "config", [TankConfig(sensor=fins.QUIET), fins.UNUSUAL], ids=["default", "unusual"]
+)
+def test_a_fin_that_changes_while_it_beats_moves_as_the_tank_with_those_parameters(config):
+    """Force and torque, from the tick of the change on."""
+    tank = Tank(config)
+    commands = small.commands(600, seed=3)
+    factors = np.repeat([[1, 1], [0.5, 1.5], [1.5, 1], [1.2, 0.5]], 150, axis=0).astype(np.float32)
+    page = moved(tank_data(tank), commands, factors=factors.astype(float).tolist())
+    expected = fins.roll_tank(tank, commands, double=True, factors=factors)
+    np.testing.assert_allclose(page[:, :6], expected, atol=1e-7)
+    apart = np.abs(expected - fins.roll_tank(tank, commands, double=True)).max(axis=1)
+    assert (apart[:150] == 0).all()
+    for start in (150, 300, 450):
+        assert apart[start : start + 150].max() > 0.05
 
 
 def test_a_push_moves_the_water_and_dies_down():

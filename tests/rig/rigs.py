@@ -80,6 +80,7 @@ def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
         config.safety,
         config.fin,
         config.settle_s,
+        config.feedback,
         config.model_dump(mode="json"),
     )
 

@@ -57,8 +57,10 @@ def test_the_controller_sees_mean_torque_and_power_since_its_last_action():
     for (shaft, motor), before in zip(controller.drives[1:], acted, strict=False):
         angle = np.array([sample.angle for sample in before.samples])
         velocity = np.array([sample.velocity for sample in before.samples])
-        # The torque of the sensor is without its value at rest.
-        assert shaft[0] == pytest.approx(np.mean(0.1 * angle))
+        # The torque of the sensor is without its value at rest, at its own times.
+        times = [(sample.time, sample.force_time) for sample in before.samples]
+        sensed = np.interp(*np.transpose(times), 0.1 * angle)
+        assert shaft == pytest.approx((sensed.mean(), np.mean(sensed * velocity)))
         torque = 2.5 * (0.1 + 0.5 * angle)
         assert motor == pytest.approx((torque.mean(), np.mean(torque * velocity)))
 

@@ -57,7 +57,8 @@ def test_the_torque_of_the_motor_is_that_of_its_current():
     torques, warnings = made(CONSTANT_NM_A)
     shaft, motor = torques.means(action(current=drag))
     assert shaft is None
-    assert motor == pytest.approx((CONSTANT_NM_A * 0.4, CONSTANT_NM_A * POWER_W))
+    # The power is that at the velocity of half a tick before.
+    assert motor == pytest.approx((CONSTANT_NM_A * 0.4, CONSTANT_NM_A * POWER_W), rel=0.01)
     assert not warnings
 
 
@@ -67,12 +68,12 @@ def test_both_are_measured_independently():
     assert (shaft[0], motor[0]) == pytest.approx((0.4, CONSTANT_NM_A * 0.8))
 
 
-@pytest.mark.parametrize("delay_ticks", [0, 4])
-def test_the_power_is_that_of_torque_and_velocity_at_the_same_time(delay_ticks):
+def test_the_torque_is_that_of_the_action_although_the_sensor_is_late():
+    """All but the end of the action, which is not yet known."""
     torques, _ = made()
-    for index in range(3):
-        shaft, _ = torques.means(action(torque=drag, index=index, delay_ticks=delay_ticks))
-    assert shaft == pytest.approx((0.4, POWER_W))
+    shaft, _ = torques.means(action(torque=drag, delay_ticks=3))
+    early, _ = torques.means(action(torque=drag))
+    assert shaft == pytest.approx(early, rel=0.05)
 
 
 def test_neither_sensor_nor_current_is_no_torque():

@@ -228,7 +228,6 @@ def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_pl
 
 @pytest.mark.parametrize("kind", [paper, small], ids=["paper", "streaming"])
 def test_a_test_log_is_drawn_with_each_prediction_of_its_force(kind, monkeypatch):
-    """A network that is given the measured angle is drawn, too, if there is no ensemble."""
     log = paper.log(900)
     drawn = {}
 
@@ -240,9 +239,8 @@ def test_a_test_log_is_drawn_with_each_prediction_of_its_force(kind, monkeypatch
     _predict_test(kind.surrogate(), log)
     first = 450
     np.testing.assert_array_equal(drawn.pop("measured"), log.reading.force[first:])
-    assert drawn.pop("free-running").shape == (900 - first, 2)
-    if kind is paper:
-        given = paper.surrogate().predict_force(log, free_running=False)
-        expected = given[first - paper.WINDOW :]
-        np.testing.assert_allclose(drawn.pop("given the angle"), expected, rtol=1e-5, atol=1e-5)
+    _, *networks = kind.surrogate().predictions([log]).values()
+    for network in networks:
+        expected = network.series[0][-len(log.reading.force[first:]) :]
+        np.testing.assert_array_equal(drawn.pop(network.title), expected)
     assert drawn == {}

@@ -41,11 +41,11 @@ FEATURES = (
 """Measurements of one action: mean force (x, y) [N], angle of the shaft at its end [rad], and mean
 torque [N m] and power [W], first of the fin, then of the motor."""
 
-FORCES = slice(0, 2)
+FORCE_FEATURES = slice(0, 2)
 """Features that the force sensor shows."""
-LOADS = slice(3, 7)
+LOAD_FEATURES = slice(3, 7)
 """Features that the torque or the current shows."""
-MOTOR = slice(5, 7)
+MOTOR_FEATURES = slice(5, 7)
 """Features that friction and the torque constant change."""
 
 
@@ -63,7 +63,7 @@ class Family(NamedTuple):
     nominal_noise: Float[AnyArray, "x y features"]
     """Error of the interpolation between the nodes of `nominal`."""
     friction: Float[AnyArray, "x y actions 2"]
-    """Change of `MOTOR` for 1 N m of friction: mean sign of the velocity of the shaft during each
+    """Change of `MOTOR_FEATURES` for 1 N m of friction: mean sign of the velocity of the shaft during each
     action of the nominal fin [-], and its mean magnitude [rad/s]."""
     force: Float[AnyArray, "x y coefficients 2"]
     """Change in the true mean force (x, y) for each coefficient [N]."""

@@ -46,7 +46,7 @@ from softfin.control.controller import (
     Measured,
     controller_clock,
 )
-from softfin.control.family import FEATURES, FORCES, LOADS, MOTOR, Family
+from softfin.control.family import FEATURES, FORCE_FEATURES, LOAD_FEATURES, MOTOR_FEATURES, Family
 from softfin.control.references import controller_cells, reachable_set
 from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
@@ -61,11 +61,11 @@ HALF_90 = 1.645
 FIXED_POINT_STEPS = 2
 """Number of steps of the fixed-point iteration per action."""
 
-STARTS = 0.3
+START_DEVIATION = 0.3
 """Prior standard deviation of the coefficients at the start, when the fin is about the nominal one
 [-]."""
 
-NEAR = 0.15
+NEAR_SHARE = 0.15
 """Distance over which the force error at a reference tells that at another one, as a fraction of
 the reach [-]."""
 
@@ -252,7 +252,7 @@ class Feedback:
         controller: Controller = self.controller
         actions = self.clock.window_actions
         variances = np.ones(self.size)
-        variances[: self.coefficients] = STARTS**2
+        variances[: self.coefficients] = START_DEVIATION**2
         # The sensor has just been zeroed.
         variances[self._drifts] = 0.0
         return FeedbackState(
@@ -329,7 +329,7 @@ class Feedback:
     def _near(self, ops: Operations, one: Array, other: Array) -> Number:
         """Return the correlation of the force errors at two references."""
         distance = ops.xp.sqrt(((one - other) ** 2).sum())
-        return ops.xp.exp(-distance / (NEAR * self.reach_n))
+        return ops.xp.exp(-distance / (NEAR_SHARE * self.reach_n))
 
     def _bias_rows(self, ops: Operations, reference: Array, near: Number) -> Array:
         """Return the derivatives of the force error (x, y) [N] with respect to the filter state;
@@ -440,7 +440,7 @@ class Feedback:
         centre = share @ tracked
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
-        force_error = share @ seen[:, FORCES] - centre
+        force_error = share @ seen[:, FORCE_FEATURES] - centre
         force_variance = (newtons.noise_n**2 + moved**2) * np.ones(2)
         place = newtons.rest_n * np.eye(2)
         family = self.family
@@ -464,8 +464,10 @@ class Feedback:
         changes = changes - IS_FORCE[:, None] * mean_change
         count = actions * nominal.shape[1]
         spread = ops.constant(family.feature_spread)
-        other = np.zeros((actions, MOTOR.start))
-        friction = FRICTION_SHARE * spread[MOTOR.start] * xp.concatenate([other, turning], axis=1)
+        other = np.zeros((actions, MOTOR_FEATURES.start))
+        friction = (
+            FRICTION_SHARE * spread[MOTOR_FEATURES.start] * xp.concatenate([other, turning], axis=1)
+        )
         scale = config.torque_scale * nominal * IS_MOTOR
         pattern_rows = xp.concatenate(
             [
@@ -477,16 +479,16 @@ class Feedback:
             axis=1,
         )
         force_rows = xp.concatenate(
-            [mean_change[FORCES], affine, place, drift, np.zeros((2, 2))], axis=1
+            [mean_change[FORCE_FEATURES], affine, place, drift, np.zeros((2, 2))], axis=1
         )
         rows = xp.concatenate([force_rows, pattern_rows])
-        white = WHITE_NOISE * xp.concatenate([np.ones(LOADS.start), spread[LOADS]])
+        white = WHITE_NOISE * xp.concatenate([np.ones(LOAD_FEATURES.start), spread[LOAD_FEATURES]])
         variance = white**2 + rough**2 + (spread * moved / self.reach_n) ** 2
         unexplained = np.ones((actions, 1)) * ops.constant(family.feature_noise) ** 2
         is_allowed = np.ones(nominal.shape[1], bool)
         if config.uses != "both":
-            is_allowed[LOADS if config.uses == "force" else FORCES] = False
-        is_row_allowed = np.concatenate([is_allowed[FORCES], np.tile(is_allowed, actions)])
+            is_allowed[LOAD_FEATURES if config.uses == "force" else FORCE_FEATURES] = False
+        is_row_allowed = np.concatenate([is_allowed[FORCE_FEATURES], np.tile(is_allowed, actions)])
         errors = xp.concatenate([force_error, ahead.reshape(count)])
         has = xp.isfinite(errors) & is_row_allowed
         return _Measurements(
@@ -565,8 +567,8 @@ class _Correction(NamedTuple):
 
 
 FORCE_ROWS = ("force_x", "force_y")
-IS_FORCE = np.isin(FEATURES, FEATURES[FORCES]).astype(float)
-IS_MOTOR = np.isin(FEATURES, FEATURES[MOTOR]).astype(float)
+IS_FORCE = np.isin(FEATURES, FEATURES[FORCE_FEATURES]).astype(float)
+IS_MOTOR = np.isin(FEATURES, FEATURES[MOTOR_FEATURES]).astype(float)
 AFFINE_CONSTANT = np.concatenate([np.eye(2), np.zeros((2, 4))], axis=1)
 """Effect of the six affine parameters on the force (x, y), apart from the reference."""
 AFFINE_SLOPE = np.zeros((2, 6, 2))

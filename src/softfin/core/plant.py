@@ -230,6 +230,16 @@ def masked_mean(rows: Array, ticks: Ticks) -> Array:
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
 
 
+def mean_loads(torque: Array, velocity: Array, ticks: Ticks) -> tuple[Array, Array]:
+    """Return mean torque [N m] and power [W] over the valid rows of an action, of the fin and of
+    the motor; `torque` is ``(rows, 2)``."""
+    # Torques are means over a tick, but velocities are from its end.
+    before = jnp.concatenate([velocity[:1], velocity[:-1]])
+    power = torque * (before + velocity)[:, None] / 2
+    shaft, motor = masked_mean(jnp.stack([torque, power], axis=1), ticks).T
+    return shaft, motor
+
+
 def hold(
     plant: Plant, state: State, actions: Command, clock: ActionClock = PAPER_CLOCK
 ) -> tuple[State, Reading]:

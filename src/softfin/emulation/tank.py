@@ -58,7 +58,9 @@ class TankFin:
                 raise ValueError("state of a different tank")
             plain, self._before, self._after = jax.tree.unflatten(tree, then)
             state, self._command = jax.tree.map(jnp.asarray, plain)
-            self._state = state._replace(key=jax.random.wrap_key_data(state.key))
+            self._state = state._replace(
+                key=jax.random.wrap_key_data(state.key), torque=self._state.torque
+            )
             self._time = self._clock()
             self._latest = None
 
@@ -110,8 +112,10 @@ class TankFin:
             return self._latest[1]
 
     def _plain(self) -> tuple[PyTree, Command]:
-        """Return state and command, with the random key as plain numbers."""
-        return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
+        """Return state and command, with the random key as plain numbers and without the torque,
+        which the next tick replaces."""
+        key = jax.random.key_data(self._state.key)
+        return self._state._replace(key=key, torque=None), self._command
 
     def _catch_up(self) -> None:
         now = self._clock()

@@ -27,6 +27,7 @@ from softfin.core.plant import (
     drop_padding,
     hold_action_with_hidden,
     masked_mean,
+    mean_loads,
     rest_command,
 )
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
@@ -263,10 +264,8 @@ def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
     force = masked_mean(jnp.asarray(reading.force), ticks)
     if torque is None:
         return Measured(angle, force)
-    torque = jnp.asarray(torque)
-    loads = jnp.stack([torque, torque * jnp.asarray(reading.velocity)[:, None]], axis=1)
-    shaft, motor = masked_mean(loads, ticks).T
-    return Measured(angle, force, shaft, motor)
+    loads = mean_loads(jnp.asarray(torque), jnp.asarray(reading.velocity), ticks)
+    return Measured(angle, force, *loads)
 
 
 @jit("low")

@@ -17,7 +17,7 @@ from softfin.control.pytrees import register_controllers
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.operations import NUMPY
-from softfin.core.plant import masked_mean, repeat
+from softfin.core.plant import masked_mean, mean_loads, repeat
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import AnyArray, Command
 from softfin.core.randomness import named_key
@@ -271,10 +271,9 @@ def _steady(
                 return state, _Seen(read, state.force, state.torque, velocity, angle)
 
             state, seen = repeat(tick, state, ticks, clock.max_ticks)
-            loads = jnp.stack([seen.torque, seen.torque * seen.velocity[:, None]], axis=1)
             turns = jnp.stack([jnp.sign(seen.velocity), jnp.abs(seen.velocity)], axis=1)
             read = masked_mean(seen.read, ticks)
-            shaft, motor = masked_mean(loads, ticks).T
+            shaft, motor = mean_loads(seen.torque, seen.velocity, ticks)
             angle = seen.angle[ticks - 1]
             features = jnp.concatenate([read, angle[None], shaft, motor])
             measured = Measured(angle, read, shaft, motor)

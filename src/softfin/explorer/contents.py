@@ -11,10 +11,8 @@ import equinox as eqx
 import numpy as np
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import (
-    DisturbanceObserver,
-    DisturbanceObserverConfig,
-)
+from softfin.control.family import Family
+from softfin.control.feedback import Feedback
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -26,24 +24,22 @@ from softfin.core.quantities import AnyArray, Limits
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate.protocol import ExplorableSurrogate
 from softfin.surrogate.training import name_net_arrays
-from softfin.tank import Tank, with_parameters
+from softfin.tank import Tank
 from softfin.tank.drive import DEAD_TICKS
 
 HAND_STROKE_RAD = 0.5
 """Initial amplitude of a stroke by the user's hand [rad]; the stroke produces forward thrust."""
 
-COLD_C = 5.0
-"""Water temperature of the cold-water option on the page [degrees Celsius]."""
+
+SINGLE_PRECISION = "<f4"
+"""Little-endian on every machine, as expected by the page script."""
+HALF_PRECISION = "<f2"
 
 
-def encode_arrays(array: AnyArray) -> JsonObject:
-    """Return an array's shape, and its values in single precision as base64."""
-    values = np.asarray(array, np.float32)
-    return {
-        "shape": list(values.shape),
-        # Little-endian on every machine, as expected by the page script.
-        "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
-    }
+def encode_arrays(array: AnyArray, precision: str = SINGLE_PRECISION) -> JsonObject:
+    """Return an array's shape, and its values in single or half precision as base64."""
+    values = np.asarray(array, precision)
+    return {"shape": list(values.shape), "data": base64.b64encode(values.tobytes()).decode()}
 
 
 def is_shown(plant: Plant) -> bool:
@@ -71,14 +67,12 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
 
 def tank_data(tank: Tank) -> JsonObject:
     """Return the data of a virtual tank, without the sensor noise, drift and resolution."""
-    cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
         "kind": "tank",
         "steps_per_tick": tank.steps_per_tick,
         "drive": {**_numbers(tank.drive), "dead_ticks": DEAD_TICKS},
         "fin": _numbers(tank.fin),
         "water": _numbers(tank.water),
-        "cold_water": _numbers(cold),
         "sensor": _numbers(tank.sensor),
         "rest_rad": tank.limits.rest_angle,
     }
@@ -100,13 +94,13 @@ def surrogate_data(surrogate: ExplorableSurrogate) -> JsonObject:
     return {"kind": "surrogate", **entries, "arrays": encoded}
 
 
-def controller_data(controller: LoadedController) -> JsonObject:
-    """Return the data of a controller of any kind, and the configuration of its optional force
+def controller_data(controller: LoadedController, family: Family | None = None) -> JsonObject:
+    """Return the data of a controller of any kind, and the configuration of its optional
     feedback."""
     step = controller.step
     reachable = controller.reachable
-    observer = DisturbanceObserver(controller, DisturbanceObserverConfig())
-    assert observer.newtons is not None
+    feedback = Feedback(controller, family=family)
+    assert feedback.newtons is not None
     data: JsonObject = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
@@ -115,10 +109,13 @@ def controller_data(controller: LoadedController) -> JsonObject:
         "reachable": None if reachable is None else reachable.to_dict(),
         "clock": controller.clock.model_dump(mode="json"),
         "size": 1.0 if reachable is None else reachable.size,
-        "trim": {
-            **observer.config.model_dump(mode="json"),
-            **observer.newtons._asdict(),
-            "settle_actions": observer.settle_actions,
+        "feedback": {
+            "config": {
+                **feedback.config.model_dump(mode="json"),
+                **feedback.newtons._asdict(),
+                "reach_n": feedback.reach_n,
+            },
+            "family": None if family is None else _family(family),
         },
     }
     if isinstance(step, GaitStep):
@@ -166,6 +163,11 @@ def _table(table: GaitTable) -> JsonObject:
     low = np.asarray(table.low, float)
     high = np.asarray(table.high, float)
     return {"low": low.tolist(), "high": high.tolist(), "actions": encode_arrays(table.actions)}
+
+
+def _family(family: Family) -> JsonObject:
+    # Families are stored in half precision.
+    return {name: encode_arrays(table, HALF_PRECISION) for name, table in family._asdict().items()}
 
 
 def _numbers(module: eqx.Module) -> JsonObject:

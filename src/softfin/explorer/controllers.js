@@ -123,88 +123,30 @@ class GridController {
   }
 }
 
-/* Change of the window's error within the last actions, divided by its noise, above which the fin is not settled. */
-const UNSTEADY = 3, UNSTEADY_ACTIONS = 3;
-
-/* Force feedback (softfin.control.disturbance_observer): the estimated steady-state error is subtracted from the
- * reference; a Kalman filter separates it from the drift of a sensor. */
-class DisturbanceObserver {
-  /* `phase` of the clock, 0 to 2, at which it begins. */
-  constructor(config, cells, reachable, phase) {
-    Object.assign(this, { config, reachable, phase, bias: [0, 0], drift: [0, 0], age: 0 });
-    // Variance of the bias, covariance, variance of the drift; the same on both axes.
-    this.covariance = [config.bias_n ** 2, 0, 0];
-    this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
-    const series = () => Array.from({ length: WINDOW_ACTIONS + config.lag_actions }, () => [0, 0]);
-    Object.assign(this, { forces: series().slice(0, WINDOW_ACTIONS), tracked: series(), references: series() });
-    this.errors = Array.from({ length: UNSTEADY_ACTIONS }, () => [0, 0]);
-  }
-
-  /* The reference for the controller inside, from the mean force since the last action. */
-  correct(force, reference) {
-    const { config } = this, weights = Array.from({ length: WINDOW_ACTIONS }, (_, ago) => ACTION_TICKS[(this.phase + this.age + 2 * WINDOW_ACTIONS - 1 - ago) % ACTION_TICKS.length] / WINDOW);
-    this.forces = [force, ...this.forces.slice(0, -1)];
-    const before = this.tracked.slice(-WINDOW_ACTIONS);
-    this.estimate([0, 1].map((axis) => weights.reduce((sum, weight, k) => sum + weight * (this.forces[k][axis] - before[k][axis]), 0)), reference);
-    const tracked = this.trackable(reference, reference.map((value, axis) => value - this.bias[axis]));
-    this.tracked = [tracked, ...this.tracked.slice(0, -1)];
-    this.references = [reference, ...this.references.slice(0, -1)];
-    this.age++;
-    return tracked;
-  }
-
-  /* One action of the Kalman filter, from the mean force less the mean of the tracked references. */
-  estimate(error, reference) {
-    const { config } = this, kept = Math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s));
-    const distance = Math.max(...reference.map((value, axis) => Math.abs(value - this.references[0][axis])));
-    const drift = this.drift.map((value) => kept * value);
-    let variance = this.covariance[0] + (this.age > 0 ? config.bias_per_n ** 2 * distance : 0);
-    const cross = kept * this.covariance[1], driftVariance = kept ** 2 * this.covariance[2] + (1 - kept ** 2) * 2 * config.drift_n ** 2;
-    const range = (axis) => { const values = [reference, ...this.references].map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
-    const change = Math.max(...this.errors.flatMap((each) => each.map((value, axis) => Math.abs(error[axis] - value))));
-    const unsteady = Math.max(change / (UNSTEADY * config.noise_n), 1);
-    this.errors = [error, ...this.errors.slice(0, -1)];
-    const noiseVariance = (config.noise_n * (Math.max(range(0), range(1), config.still_n) / config.still_n) ** 2 * unsteady ** 2) ** 2;
-    const innovation = error.map((value, axis) => value - this.bias[axis] - drift[axis]);
-    const expected = variance + 2 * cross + driftVariance + noiseVariance, learns = Number(this.age >= config.settle_actions);
-    variance += learns * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);
-    const total = variance + 2 * cross + driftVariance + WINDOW_ACTIONS * noiseVariance;
-    const gain = learns * (variance + cross) / total, driftGain = learns * (cross + driftVariance) / total;
-    this.bias = this.bias.map((bias, axis) => clip(bias + gain * innovation[axis], -config.limit_n, config.limit_n));
-    this.drift = drift.map((value, axis) => value + driftGain * innovation[axis]);
-    this.covariance = [variance - gain * (variance + cross), cross - gain * (cross + driftVariance), driftVariance - driftGain * (cross + driftVariance)];
-  }
-
-  /* The corrected reference within reach and within the cells: between cells it ends at the edge of the reference's own. */
-  trackable(reference, corrected) {
-    if (this.reachable !== null) corrected = this.reachable.project(corrected);
-    if (this.cells.some((cell) => distanceTo(withinCell(cell, corrected), corrected) === 0)) return corrected;
-    return withinCell(nearestCellTo(this.cells, reference), corrected);
-  }
-}
-
 const CONTROLLERS = { gaits: GaitController, single: SingleController, grid: GridController };
 
-/* A controller of any kind at rest, with the outer loop about it on demand. */
+/* A controller of any kind at rest, with feedback about it on demand. */
 class Controller {
   constructor(description) {
-    // `tracked` is the reference of the last action as the outer loop corrected it, `added` the correction; null before.
-    Object.assign(this, { description, limits: description.limits, cells: description.cells, observer: null, tracked: null, added: null });
+    // `tracked` is the reference of the last action as feedback corrected it, `added` the correction; null before.
+    Object.assign(this, { description, limits: description.limits, cells: description.cells, feedback: null, tracked: null, added: null });
     this.step = new CONTROLLERS[description.kind](description);
     this.reachable = description.reachable === null ? null : new Reachable(description.reachable);
   }
 
-  /* Begin or end the outer loop, before the action that has this number since the start of the clock. */
-  trim(wanted, action) {
-    this.observer = wanted ? new DisturbanceObserver(this.description.trim, this.cells, this.reachable, action % ACTION_TICKS.length) : null;
+  /* Begin feedback from these measurements, or end it ("none"), before the action that has this number since the start
+   * of the clock. */
+  useFeedback(uses, action) {
+    this.feedback = uses === "none" ? null : new Feedback(this.description.feedback, this.cells, this.reachable, uses, action);
   }
 
-  /* The command for a reference [N], from the angle [rad] and the mean force since the last action [N]. */
-  act(angle, force, reference) {
+  /* The command for a reference [N], from the latest angle [rad], and the mean force [N] and torques [N m] since the
+   * last action. */
+  act(measured, reference) {
     const { limits } = this;
-    this.tracked = this.observer === null ? reference : this.observer.correct(force, reference);
+    this.tracked = this.feedback === null ? reference : this.feedback.correct(measured, reference);
     this.added = this.tracked.map((value, axis) => value - reference[axis]);
-    const action = this.step.act([angle, ...this.tracked].map(Math.fround));
+    const action = this.step.act([measured.angle, ...this.tracked].map(Math.fround));
     const within = (value, low, high) => clip(low + ((value + 1) / 2) * (high - low), low, high);
     return {
       angle: within(action[0], limits.angle_min_rad, limits.angle_max_rad),

@@ -80,8 +80,11 @@ function drawPlane(canvas, range, loop, predicted) {
   }
   drawTrail(pen, place, loop);
   drawAsked(pen, place(loop.target()));
-  if (controller.observer !== null && controller.tracked !== null) drawTracked(pen, place(controller.tracked));
-  if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted);
+  if (controller.feedback !== null && controller.tracked !== null) {
+    drawTracked(pen, place(controller.tracked));
+    drawInterval(pen, place, scale.pixels, controller.feedback.estimate(), colours.mean);
+  }
+  if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted, colours.predicted);
   drawMean(pen, place(loop.mean()));
   pen.restore();
   drawPlaneAxes(pen, scale, axes);
@@ -100,10 +103,10 @@ function drawTrail(pen, place, loop) {
   pen.globalAlpha = 1;
 }
 
-/* The surrogate's mean force and its interval on both axes: a box with a cross. */
-function drawInterval(pen, place, pixels, { mean, half }) {
+/* A mean force and its interval on both axes: a box with a cross. */
+function drawInterval(pen, place, pixels, { mean, half }, colour) {
   const [x, y] = place(mean), [a, b] = half.map((value) => value * pixels);
-  pen.strokeStyle = colours.predicted;
+  pen.strokeStyle = colour;
   pen.lineWidth = 2;
   pen.strokeRect(x - a, y - b, 2 * a, 2 * b);
   outline(pen, [[x - 4, y], [x + 4, y]]);

@@ -2,12 +2,12 @@
 
 class Hand {
   constructor(description) {
-    Object.assign(this, { description, cells: [], reachable: null, observer: null, tracked: null, added: null, side: -1 });
+    Object.assign(this, { description, cells: [], reachable: null, feedback: null, tracked: null, added: null, side: -1 });
     Object.assign(this, description.first);
   }
 
-  /* A hand has no target that force feedback could correct. */
-  trim() {}
+  /* A hand has no target that feedback could correct. */
+  useFeedback() {}
 
   act() {
     const { angle_min_rad, angle_max_rad } = this.description.limits;

@@ -1,6 +1,8 @@
 /* The closed loop: a controller acts on a plant on its own clock; what is measured is kept for a while. */
 
 const KEPT = 1000;
+/* Means over an action that has just begun. */
+const NOTHING = { force: [0, 0], shaft: [0, 0], motor: [0, 0] };
 
 /* The last `length` pairs, and the sums by which means and the Sobolev term of a window are computed. */
 class MovingWindow {
@@ -49,7 +51,7 @@ class Loop {
 
   /* Let another controller act from now on, as from rest, at the start of the clock. */
   change(controller) {
-    Object.assign(this, { controller, action: 0, left: 0, sum: [0, 0], command: { angle: 0, velocity: 1 } });
+    Object.assign(this, { controller, action: 0, left: 0, means: NOTHING, command: { angle: 0, velocity: 1 } });
   }
 
   /* The target force; a hand has none, and a canvas does not draw what is not a number. */
@@ -59,9 +61,9 @@ class Loop {
 
   tick() {
     if (this.left === 0) {
-      const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
-      this.command = this.controller.act(reading ? reading.angle : this.controller.description.rest_rad, this.sum.map((value) => value / ticks), this.reference);
-      [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], [0, 0]];
+      const reading = this.readings[this.plant], measured = { ...this.means, angle: reading ? reading.angle : this.controller.description.rest_rad };
+      this.command = this.controller.act(measured, this.reference);
+      [this.left, this.means] = [ACTION_TICKS[this.action % ACTION_TICKS.length], NOTHING];
       this.action++;
     }
     for (const [name, plant] of Object.entries(this.plants)) {
@@ -73,7 +75,12 @@ class Loop {
     this.left--;
     this.time++;
     const reading = this.readings[this.plant], force = reading.force;
-    this.sum = this.sum.map((value, axis) => value + force[axis]);
+    // Only a tank has torques, which are means over a tick, so their power is that at the mean velocity. Within an action, as in Python.
+    const { torque = NaN, motorTorque = NaN } = reading, ticks = ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length];
+    const velocity = (reading.velocity + (this.left === ticks - 1 ? reading.velocity : this.velocity)) / 2;
+    this.velocity = reading.velocity;
+    const now = { force, shaft: [torque, torque * velocity], motor: [motorTorque, motorTorque * velocity] };
+    this.means = Object.fromEntries(Object.entries(now).map(([name, pair]) => [name, pair.map((value, k) => this.means[name][k] + value / ticks)]));
     const plant = this.plants[this.plant], shape = plant.shape ? plant.shape() : null;
     this.history.push({ angle: reading.angle, command: this.command.angle, force, mean: this.mean(), reference: this.target(), shape });
     if (this.history.length > KEPT) this.history.splice(0, this.history.length - KEPT);

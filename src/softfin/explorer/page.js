@@ -11,17 +11,23 @@ const range = planeRange(controllers);
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;
 
+/* Stiffness and drag of the fin in a tank [%], which change while it beats. */
+const NEW_FIN = { stiffness: 100, drag: 100 }, FIN_RANGE = [50, 150];
+
 /* What is chosen; the address holds it behind the #. (x, y) is the force that is wished for; the loop's reference is the
  * nearest that the controller can hold. */
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still, ...hand.first };
+const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", feedback: "both", paused: still, ...NEW_FIN, ...hand.first };
+const choicesOf = (name) => [...element(name).options].map((option) => option.value);
 const byHand = () => controllers[chosen.controller] === hand;
-/* Limits of the sliders, which move in hundredths; those of the angle are rounded, so that it can be 0. */
-const SLIDERS = {
+/* Limits of the sliders of the hand, which move in hundredths; those of the angle are rounded, so that it can be 0. */
+const HAND_SLIDERS = {
   angle: [Math.ceil(100 * hand.limits.angle_min_rad) / 100, Math.floor(100 * hand.limits.angle_max_rad) / 100],
   stroke: [0, (hand.limits.angle_max_rad - hand.limits.angle_min_rad) / 2],
   velocity: [hand.limits.velocity_min_rad_s, hand.limits.velocity_max_rad_s],
 };
+const SLIDERS = { ...HAND_SLIDERS, stiffness: FIN_RANGE, drag: FIN_RANGE };
+const digitsOf = (name) => (name in NEW_FIN ? 0 : 2);
 
 let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
 
@@ -30,6 +36,9 @@ let watched = null;
 function watch(what) {
   watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
 }
+
+/* Torque says nothing without a family of fins. */
+const feedbackUses = () => (chosen.feedback === "torque" && controllers[chosen.controller].feedback.family === null ? "none" : chosen.feedback);
 
 const newController = () => (byHand() ? new Hand(hand) : new Controller(controllers[chosen.controller]));
 
@@ -44,30 +53,28 @@ function begin() {
 /* Have the loop do what is chosen, the controls show it, and the address hold it. */
 function apply() {
   if (controllers[chosen.controller] !== loop.controller.description) loop.change(newController());
-  if (byHand()) for (const name of Object.keys(SLIDERS)) loop.controller[name] = chosen[name];
-  else if (chosen.trim !== (loop.controller.observer !== null)) loop.controller.trim(chosen.trim, loop.action);
+  if (byHand()) for (const name of Object.keys(HAND_SLIDERS)) loop.controller[name] = chosen[name];
+  else if (feedbackUses() !== (loop.controller.feedback?.uses ?? "none")) loop.controller.useFeedback(feedbackUses(), loop.action);
   loop.plant = String(chosen.plant);
   for (const plant of Object.values(loop.plants)) {
-    if (plant instanceof Tank) [plant.stiffness, plant.cold] = [Number(chosen.fin), chosen.cold];
+    if (plant instanceof Tank) [plant.stiffness, plant.drag] = [chosen.stiffness / 100, chosen.drag / 100];
   }
-  const conditions = [chosen.controller, chosen.plant, chosen.trim, chosen.fin, chosen.cold].join();
+  const conditions = [chosen.controller, chosen.plant, chosen.feedback, chosen.stiffness, chosen.drag].join();
   if (conditions !== applied) watch(applied ? "the change" : "the target was set");
   applied = conditions;
   if (!byHand()) ask();
   document.body.classList.toggle("by-hand", byHand());
   for (const name of Object.keys(SLIDERS)) {
     element(name).value = String(chosen[name]);
-    element(`${name}-value`).textContent = numeral(chosen[name], 2);
+    element(`${name}-value`).textContent = numeral(chosen[name], digitsOf(name));
   }
-  for (const name of ["controller", "plant", "speed", "fin"]) element(name).value = String(chosen[name]);
-  for (const name of ["cold", "trim"]) element(name).setAttribute("aria-pressed", String(chosen[name]));
+  for (const name of ["controller", "plant", "speed", "feedback"]) element(name).value = String(chosen[name]);
   element("pause").textContent = chosen.paused ? "Play" : "Pause";
   const inTank = plants[chosen.plant].kind === "tank";
-  for (const name of ["cold", "push", "fin"]) element(name).disabled = !inTank;
+  for (const name of ["push", ...Object.keys(NEW_FIN)]) element(name).disabled = !inTank;
   element("tank-only").hidden = inTank;
-  const flags = Object.fromEntries(["cold", "trim", "paused"].map((name) => [name, Number(chosen[name])]));
-  const motion = Object.fromEntries(Object.keys(SLIDERS).map((name) => [name, chosen[name].toFixed(2)]));
-  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(decimals)},${chosen.y.toFixed(decimals)}`, speed: chosen.speed, fin: chosen.fin, ...motion, ...flags });
+  const sliders = Object.fromEntries(Object.keys(SLIDERS).map((name) => [name, chosen[name].toFixed(digitsOf(name))]));
+  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(decimals)},${chosen.y.toFixed(decimals)}`, speed: chosen.speed, feedback: chosen.feedback, ...sliders, paused: Number(chosen.paused) });
   element("link").href = `#${state}`;
   element("link").textContent = "Copy link";
   writeAddress();
@@ -108,9 +115,12 @@ function readAddress(address) {
   }
   const [x, y] = (state.get("reference") || "").split(",").map(Number);
   if (Number.isFinite(x) && Number.isFinite(y)) [chosen.x, chosen.y] = [x, y];
-  for (const [name, [low, high]] of Object.entries(SLIDERS)) if (Number.isFinite(parseFloat(state.get(name)))) chosen[name] = clip(parseFloat(state.get(name)), low, high);
-  for (const name of ["speed", "fin"]) if ([...element(name).options].some((option) => option.value === state.get(name))) chosen[name] = state.get(name);
-  for (const name of ["cold", "trim", "paused"]) if (["0", "1"].includes(state.get(name))) chosen[name] = state.get(name) === "1";
+  for (const [name, [low, high]] of Object.entries(SLIDERS)) {
+    const value = parseFloat(parseFloat(state.get(name)).toFixed(digitsOf(name)));
+    if (Number.isFinite(value)) chosen[name] = clip(value, low, high);
+  }
+  for (const name of ["speed", "feedback"]) if (choicesOf(name).includes(state.get(name))) chosen[name] = state.get(name);
+  if (["0", "1"].includes(state.get("paused"))) chosen.paused = state.get("paused") === "1";
   chosen.paused ||= still;
 }
 
@@ -159,6 +169,17 @@ function prediction() {
   return { mean, half, familiar: distances.filter((distance) => distance <= 1).length / distances.length };
 }
 
+/* What feedback does, or why it can do nothing. */
+function feedbackText() {
+  const { feedback, added, description } = loop.controller, torque = loop.readings[loop.plant]?.torque;
+  if (byHand() || chosen.feedback === "none" || added === null) return "";
+  if (chosen.feedback === "torque" && description.feedback.family === null) return "Feedback from torque needs a family of fins.";
+  if (chosen.feedback === "torque" && torque === undefined) return "No torque is measured in a surrogate.";
+  const adds = `Feedback adds ${forceText(added)}`;
+  if (description.feedback.family === null) return `${adds}.`;
+  return `${adds}; ${feedback.level > UNFAMILIAR ? "the fin is not of the family: only the mean force counts" : "the fin is of the family"}.`;
+}
+
 function tell(predicted) {
   const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = Number.isFinite(value) ? numeral(value, digits) : "\u2013"; });
   const { controller } = loop, average = loop.averages[loop.plant], none = [NaN, NaN];
@@ -175,7 +196,10 @@ function tell(predicted) {
   }
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
-  element("bias").textContent = controller.observer && controller.added ? `Force feedback adds ${forceText(controller.added)}.` : "";
+  const estimate = controller.feedback && controller.added ? controller.feedback.estimate() : { mean: none, half: none };
+  show("estimate", estimate.mean);
+  show("within", estimate.half);
+  element("feedback-state").textContent = feedbackText();
   element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
   const near = distanceTo(wish, loop.reference) > HUNDREDTH_N ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
@@ -240,19 +264,21 @@ const push = () => {
 };
 const ACTIONS = {
   " ": () => choose({ paused: !chosen.paused }),
-  t: () => choose({ trim: !chosen.trim }),
+  t: () => choose({ feedback: next(choicesOf("feedback"), chosen.feedback) }),
   p: () => { if (!element("push").disabled) push(); },
-  w: () => { if (!element("cold").disabled) choose({ cold: !chosen.cold }); },
-  f: () => { if (!element("fin").disabled) choose({ fin: next([...element("fin").options].map((option) => option.value), chosen.fin) }); },
   c: () => choose({ controller: (chosen.controller + 1) % controllers.length }),
-  s: () => choose({ speed: next([...element("speed").options].map((option) => option.value), chosen.speed) }),
-  r: begin,
+  s: () => choose({ speed: next(choicesOf("speed"), chosen.speed) }),
+  r: () => {
+    Object.assign(chosen, NEW_FIN);
+    begin();
+  },
 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
-  const step = (event.shiftKey ? 50 : 10) * HUNDREDTH_N, arrow = byHand() ? undefined : ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input[type=number], select")) return;
+  // The arrow keys move a slider that has the focus.
+  const arrow = byHand() || event.target.matches("input") ? undefined : ARROWS[event.key], step = (event.shiftKey ? 50 : 10) * HUNDREDTH_N, action = ACTIONS[event.key.toLowerCase()];
   if (!arrow && (!action || (event.key === " " && event.target.matches("button, summary, a")))) return;
   event.preventDefault();
   if (arrow) choose({ x: loop.reference[0] + step * arrow[0], y: loop.reference[1] + step * arrow[1] });
@@ -260,8 +286,8 @@ document.addEventListener("keydown", (event) => {
   else if (!event.repeat) action();
 });
 for (const name of ["controller", "plant"]) element(name).addEventListener("change", () => choose({ [name]: Number(element(name).value) }));
-for (const name of ["speed", "fin"]) element(name).addEventListener("change", () => choose({ [name]: element(name).value }));
-for (const [name, key] of [["pause", " "], ["trim", "t"], ["cold", "w"], ["push", "p"], ["restart", "r"]]) element(name).addEventListener("click", ACTIONS[key]);
+for (const name of ["speed", "feedback"]) element(name).addEventListener("change", () => choose({ [name]: element(name).value }));
+for (const [name, key] of [["pause", " "], ["push", "p"], ["restart", "r"]]) element(name).addEventListener("click", ACTIONS[key]);
 for (const [name, steps] of [["step", 10], ["leap", 50]]) element(name).textContent = `${short(steps * HUNDREDTH_N)} N`;
 for (const name of ["x", "y"]) {
   element(name).step = short(10 * HUNDREDTH_N);

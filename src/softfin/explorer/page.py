@@ -11,10 +11,19 @@ from markupsafe import Markup
 from softfin.core.action_clock import ActionClock
 from softfin.core.canvas import with_canvas
 from softfin.core.quantities import TICK_S
-from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
-SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "hand", "loop")
+SIMULATION = (
+    "numbers",
+    "profile",
+    "surrogate",
+    "tank",
+    "region",
+    "feedback",
+    "controllers",
+    "hand",
+    "loop",
+)
 """Scripts for computation, in order; they do not need a page."""
 
 DRAWN = ("drawing", "page")
@@ -50,7 +59,6 @@ def write_explorer_page(
             plants=plants,
             surrogate=any(plant["kind"] == "surrogate" for plant in plants),
             grid=any(controller["kind"] == "grid" for controller in controllers),
-            cold_c=f"{COLD_C:g}",
             window_s=f"{clock.window_ticks * TICK_S:g}",
             # Escaped so that no text in the data can close the script element.
             contents=Markup(contents.replace("<", "\\u003c")),

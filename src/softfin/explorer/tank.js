@@ -152,10 +152,11 @@ class Drive {
     return limited === torque ? free : (this.rotor * this.rate + limited + load) / (this.rotor + drag);
   }
 
-  /* End a step in which the motor turned at that mean rate. */
+  /* End a step in which the motor turned at that mean rate; returns the motor's mean torque [N m]. */
   follow(mean, seconds) {
     this.angle += seconds * mean;
     this.rate = 2 * mean - this.rate;
+    return clip(this.pull - this.grip * mean, -this.torque_limit, this.torque_limit);
   }
 
   read() {
@@ -257,11 +258,11 @@ class Water {
     Object.assign(this, parameters);
   }
 
-  /* Drag at the two points of each plate, for the strokes lately. */
-  drags(flow) {
+  /* Drag at the two points of each plate, for the strokes lately, times a factor. */
+  drags(flow, factor) {
     return this.drag.map((row) => row.map((value, i) => {
       const number = Math.sqrt((8 * Math.PI ** 2 * flow.square[i]) / this.span[i] ** 2 + LEAST_STROKE ** 2) / REFERENCE_STROKE;
-      return value * number ** -this.drag_exponent;
+      return factor * value * number ** -this.drag_exponent;
     }));
   }
 
@@ -292,17 +293,17 @@ class Water {
   }
 }
 
-/* A tank with its fin at rest. */
+/* A tank with its fin at rest. Its factors of stiffness and drag may change at any time. */
 class Tank {
   constructor(description) {
     this.description = description;
     this.drive = new Drive(description.drive, description.rest_rad);
     this.fin = new Fin(description.fin, description.rest_rad);
-    this.waters = { own: new Water(description.water), cold: new Water(description.cold_water) };
+    this.water = new Water(description.water);
     this.flow = { stream: [0, 0], excursion: zeros(this.fin.plates), square: zeros(this.fin.plates) };
     this.filtered = [0, 0];
     this.stiffness = 1;
-    this.cold = false;
+    this.drag = 1;
   }
 
   shape() {
@@ -314,15 +315,17 @@ class Tank {
     this.flow.stream = [...velocity];
   }
 
-  /* Hold a command for a tick; returns {angle, velocity, force}. */
+  /* Hold a command for a tick; returns {angle, velocity, force, torque, motorTorque}, with the torque on the fin about the shaft
+   * and that of the motor, positive with the velocity where the drive delivers power. */
   tick(command) {
-    const steps = this.description.steps_per_tick, seconds = TICK_S / steps, { drive, fin, flow, filtered } = this;
-    const water = this.cold ? this.waters.cold : this.waters.own, drags = water.drags(flow), stream = flow.stream;
+    const steps = this.description.steps_per_tick, seconds = TICK_S / steps, { drive, fin, water, flow, filtered } = this;
+    const drags = water.drags(flow, this.drag), stream = flow.stream, shaftRate = drive.rate;
     const obeyed = drive.receive(command), before = fin.momentum(water, stream), loads = [0, 0];
+    let motorTorque = 0;
     for (let k = 0; k < steps; k++) {
       drive.plan(obeyed, seconds);
       const { rate, force } = fin.step(drive, water, stream, drags, this.stiffness, seconds);
-      drive.follow(rate, seconds);
+      motorTorque += drive.follow(rate, seconds) / steps;
       force.forEach((value, axis) => { loads[axis] += value / steps; });
     }
     const after = fin.momentum(water, stream), { filter_time, misalignment, range } = this.description.sensor;
@@ -332,6 +335,8 @@ class Tank {
     });
     const [x, y] = this.filtered, cos = Math.cos(misalignment), sin = Math.sin(misalignment), most = range > 0 ? range : Infinity;
     water.stir(flow, fin.relative(stream), loads);
-    return { ...drive.read(), force: [clip(cos * x + sin * y, -most, most), clip(cos * y - sin * x, -most, most)] };
+    // What accelerates the rotor does not reach the fin.
+    const torque = motorTorque - (drive.inertia * (drive.rate - shaftRate)) / TICK_S;
+    return { ...drive.read(), torque, motorTorque, force: [clip(cos * x + sin * y, -most, most), clip(cos * y - sin * x, -most, most)] };
   }
 }

@@ -17,7 +17,7 @@ from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
-from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
+from softfin.rig.session import MeasuredForce, Session, in_one_line
 from softfin.rig.shaft_torque import Drive, ShaftTorque
 
 ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
@@ -71,7 +71,7 @@ def run_controller(
         samples = session.hold(target, durations[index % len(durations)])
         ticks += len(samples)
         angle = samples[-1].angle
-        x, y = mean_force(samples)
+        x, y = shaft_torque.force(samples)
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None

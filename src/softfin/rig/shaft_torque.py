@@ -12,9 +12,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.rig.machine import Sample
-from softfin.rig.session import Session, Warn
+from softfin.rig.session import MeasuredForce, Session, Warn
 
 STROKE_RAD = 0.1
 """Motion of the shaft within an action during which a torque must change [rad]."""
@@ -40,8 +40,6 @@ class ShaftTorque:
         self._session = session
         self._warn = warn
         self._is_needed = is_needed
-        self._motion = np.empty((2, 0))
-        """Times [s] and velocities [rad/s] of the previous action."""
         self._sensed = _Torque(
             "the torque of the force sensor",
             "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
@@ -55,6 +53,14 @@ class ShaftTorque:
             warn,
         )
 
+    @staticmethod
+    def force(samples: Sequence[Sample]) -> MeasuredForce:
+        """Return the mean force (x, y) at the times of the samples of an action [N]."""
+        rows = [(each.time, each.force_time, *each.wrench[:2]) for each in samples]
+        time, force_time, *forces = np.array(rows, float).T
+        x, y = (float(on_time(time, force_time, values).mean()) for values in forces)
+        return x, y
+
     def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
         """Return torque and power on the fin and of the motor over the samples of an action; None
         if the torque is not measured, not finite, constant while the shaft moves, or has the wrong
@@ -65,18 +71,22 @@ class ShaftTorque:
         ]
         # NaN if the current is not measured.
         time, angle, velocity, force_time, torque, current = np.array(rows, float).T
-        motion = np.hstack([self._motion, [time, velocity]])
-        self._motion = motion[:, -len(samples) :]
         at_rest = [sample.wrench[-1] for sample in self._session.at_rest]
         # Sensors report zero for loads that they do not measure.
         if not any(at_rest) and not torque.any():
             torque[:] = math.nan
         torque -= np.mean(at_rest or [0.0])
         is_moving = bool(np.ptp(angle) > STROKE_RAD)
+        if is_moving:
+            for channel in (torque, current):
+                if channel.min() == channel.max():
+                    channel[:] = math.nan
+        torque = on_time(time, force_time, torque)
+        # Currents are means over the time since the previous sample.
+        between = np.interp(time - TICK_S / 2, time, velocity)
         return (
-            # The force is older than the velocity.
-            self._sensed.mean(torque, np.interp(force_time, *motion), is_moving),
-            self._motor.mean(self._constant(current) * current, velocity, is_moving),
+            self._sensed.mean(torque, velocity, is_moving),
+            self._motor.mean(self._constant(current) * current, between, is_moving),
         )
 
     def _constant(self, current: _Series) -> float:
@@ -92,6 +102,15 @@ class ShaftTorque:
                 "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
             )
         return math.nan
+
+
+def on_time(time: _Series, force_time: _Series, values: _Series) -> _Series:
+    """Return values of the sensor at the times of the samples.
+
+    The filters of the sensor delay them. The newest value stands for the time since then, because
+    the fin responds to the next command even later.
+    """
+    return np.asarray(np.interp(time, force_time, values))
 
 
 class _Torque:
@@ -110,8 +129,7 @@ class _Torque:
     def mean(self, torque: _Series, velocity: _Series, is_moving: bool) -> Drive | None:
         """Return the mean torque and power over the samples of an action; None if the torque is
         unusable."""
-        is_frozen = is_moving and np.ptp(torque) == 0
-        if self._is_reversed or is_frozen or not np.isfinite(torque).all():
+        if self._is_reversed or not np.isfinite(torque).all():
             return None
         power_w = torque * velocity
         if is_moving:

@@ -56,6 +56,7 @@ def explore(
         artifacts.find_description(path, "controller")
     for name in plant:
         check_plant(name)
+    from softfin.control.family import load_family
     from softfin.control.store import load_controller
     from softfin.evaluation.evaluate import check_limits
     from softfin.explorer.contents import controller_data, hand_data, outline, plant_data
@@ -74,7 +75,8 @@ def explore(
     names = _labels({name: Path(name).resolve().name for name in moving})
     page_controllers = []
     for given, controller in holding.items():
-        page_controllers.append({"name": kinds[given], **controller_data(controller)})
+        family = load_family(Path(given), controller)
+        page_controllers.append({"name": kinds[given], **controller_data(controller, family)})
     size = page_controllers[0]["size"] if page_controllers else None
     limits = [fin.limits for fin in moving.values()]
     page_controllers.append(hand_data(limits, clock, size))

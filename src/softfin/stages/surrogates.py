@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import configure
-from softfin.core.errors import LogError
+from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import (
     DATA,
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from softfin.core.quantities import Log
     from softfin.data.recordings import OpenedLogs
     from softfin.surrogate.protocol import SurrogatePlant
+    from softfin.surrogate.streaming.refit import Refit
 
 SHOWN_TEST_S = 8
 """Length of the test log segment in the figure [s]."""
@@ -48,6 +49,7 @@ def fit(
     *,
     out: Annotated[PathLike, DIR],
     model: str = DEFAULT,
+    start: Annotated[PathLike | None, DIR] = None,
     recordings: Annotated[ImportConfig | None, RECORDINGS] = None,
     seed: int = 0,
     config: Config = None,
@@ -61,6 +63,7 @@ def fit(
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
+        start: Streaming surrogate to refit to new logs of its fin, which has changed since.
         recordings: How to read recordings from other programs.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
@@ -82,7 +85,8 @@ def fit(
     check_seed(seed)
     find_recordings(dataset)
     artifacts.check_vacant(out, overwrite or resume, kind="surrogate")
-    architecture = find_architecture(model)
+    refit = None if start is None else _load_refit(Path(start), model)
+    architecture = refit or find_architecture(model)
     settings = configure(architecture.config(), config)
     from softfin.data.recordings import open_logs
     from softfin.data.stroke_time import stroke_time
@@ -103,13 +107,20 @@ def fit(
     scored = opened.test or list(hold_out(opened.train, settings.held_out)[1])
     part = "test" if opened.test else "held-out"
     check_lengths(scored, SKIPPED, part)
-    spans = measured_ranges(scored)
-    metadata = {
+    measured_ranges(scored)
+    metadata: JsonObject = {
         "configuration": settings.model_dump(mode="json"),
         "seed": seed,
         "data_hash": opened.data_hash,
         "model": model,
     }
+    # The metadata of a dataset are already in the dataset folder.
+    own: JsonObject = {} if description else {"logs": opened.metadata}
+    entries: JsonObject = {"stroke_s": stroke_time(opened.train), "fin": description.get("fin")}
+    if refit:
+        own["refit"] = refit.provenance(opened.train, scored)
+        metadata["start"] = own["refit"]["identity"]
+        entries |= refit.entries
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
         fitted = architecture.fit(opened.train, settings, seed, run_directory, progress)
@@ -119,8 +130,6 @@ def fit(
             if scored[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, scored[0]), folder / "prediction.png")
 
-        # The metadata of a dataset are already in the dataset folder.
-        own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
         )
@@ -133,16 +142,29 @@ def fit(
             overwrite=overwrite,
             configuration=metadata["configuration"],
             training_range=ranges(opened.train),
-            stroke_s=stroke_time(opened.train),
-            fin=description.get("fin"),
+            **entries,
         )
     run_directory.finish()
-    return _summarize_fit(dataset, out, opened, spans, counted(len(scored), f"{part} log"))
+    return _summarize_fit(dataset, out, opened, counted(len(scored), f"{part} log"))
 
 
-def _summarize_fit(
-    dataset: Path, out: Path, opened: "OpenedLogs", spans: Mapping[str, float], scored: str
-) -> Result:
+def _load_refit(path: Path, model: str) -> "Refit":
+    """Load the surrogate to refit; raises ConfigurationError if it is not a streaming surrogate."""
+    from softfin.surrogate import StreamingSurrogate, load_surrogate
+    from softfin.surrogate.streaming.refit import Refit
+
+    start = load_surrogate(path)
+    if not isinstance(start, StreamingSurrogate) or start.model != model:
+        raise ConfigurationError(
+            f"--start {path}: a {start.model} surrogate cannot be refitted with --model {model}; "
+            "both must be streaming, or fit without --start"
+        )
+    description = artifacts.load_description(path, "surrogate")
+    entries = {name: description[name] for name in ("stroke_s", "fin") if description.get(name)}
+    return Refit(str(path), start, entries)
+
+
+def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", scored: str) -> Result:
     from softfin.core.action_clock import PAPER_CLOCK, ActionClock
     from softfin.core.plant import EnsemblePlant
     from softfin.stages.tables import format_table_one
@@ -157,6 +179,10 @@ def _summarize_fit(
     parts = [format_table_one(written["scores"])]
     if caveat is not None:
         parts.append(f"note: {caveat}")
+    refit = written["provenance"].get("refit")
+    if refit:
+        better = refit["start"] if refit["scores"] == written["scores"] else "the refit"
+        parts.append(f"{refit['start']}: {_verdict(refit['scores'], scored)}; {better} is kept")
     clock = ""
     if stroke_s is not None and (fitting := ActionClock.for_strokes(stroke_s)) != PAPER_CLOCK:
         parts.append(
@@ -165,7 +191,7 @@ def _summarize_fit(
         )
         clock = " --clock auto"
     parts.append(
-        f"{out}: {_verdict(written['scores'], spans, scored)}\n"
+        f"{out}: {_verdict(written['scores'], scored)}\n"
         f"next: softfin map {typed_path(out)}{clock} --out gaits"
     )
     notes = columns_read(summary["columns"]) + issue_line(summary["counts"], dataset)
@@ -180,21 +206,18 @@ def _summarize_fit(
         "stroke_s": stroke_s,
         "caveat": caveat,
         "warning": warning,
+        "refit": refit,
     }
     return Result(values, notes + "\n\n".join(parts))
 
 
-def _verdict(table: JsonObject, spans: Mapping[str, float], scored: str) -> str:
+def _verdict(table: JsonObject, scored: str) -> str:
     """Return the error of the predicted force, also as a percentage of its range."""
-    from softfin.surrogate.channels import FORCES
-
     # The last force predictor is the complete surrogate.
     *_, force = (row for row in table.values() if row["unit"] == "N")
-    error_n = force["physical"]["rmse"]
-    range_n = max(spans[name] for name in FORCES)
     return (
-        f"error of the predicted force {error_n:.2g} N (RMS) in {scored}, "
-        f"{100 * error_n / range_n:.2g}% of its range"
+        f"error of the predicted force {force['physical']['rmse']:.2g} N (RMS) in {scored}, "
+        f"{100 * force['scaled']['rmse']:.2g}% of its range"
     )
 
 
@@ -207,32 +230,22 @@ def issue_line(counts: Mapping[str, int], dataset: Path) -> str:
 
 
 def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
-    """Draw a segment of a test log and the prediction of the surrogate."""
-    import equinox as eqx
-    import jax
+    """Draw a segment of a test log and the predictions of the force by the surrogate."""
     import numpy as np
 
-    from softfin.core.plant import roll
     from softfin.core.quantities import RATE_HZ
     from softfin.evaluation.report import prediction_figure
-    from softfin.surrogate import Surrogate
+    from softfin.surrogate.channels import FORCES
 
-    rows = len(log.reading.time)
     # Start late enough to fill the memory of the surrogate.
-    first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
-    ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
-    stretch = slice(first, first + ticks)
-    state = surrogate.warm(jax.tree.map(lambda x: x[first - surrogate.memory : first], log))
-    # The reading of row k follows the command of row k - 1.
-    commands = jax.tree.map(lambda x: x[first - 1 : stretch.stop - 1], log.command)
-    _, free = eqx.filter_jit(roll)(surrogate, state, commands)
-    predicted = {"free-running": np.asarray(free.force)}
-    if isinstance(surrogate, Surrogate):
-        (force,) = surrogate.predictions([log])["forcenet_measured"].series
-        # The first rows of the log have no prediction.
-        shift = rows - len(force)
-        predicted = {"given the angle": force[first - shift : stretch.stop - shift], **predicted}
-    return prediction_figure(np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ)
+    first = max(surrogate.memory, min(10 * RATE_HZ, log.rows // 2))
+    measured = np.asarray(log.reading.force[first:][: SHOWN_TEST_S * RATE_HZ])
+    predicted = {}
+    for network in surrogate.predictions([log]).values():
+        if network.channels == FORCES:
+            # The first rows of the log have no prediction.
+            predicted[network.title] = network.series[0][first - log.rows :][: len(measured)]
+    return prediction_figure(measured, predicted, first / RATE_HZ)
 
 
 def _noise_warning(out: Path, surrogate: "Plant", logs: "Sequence[Log]") -> str | None:

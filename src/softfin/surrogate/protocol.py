@@ -77,8 +77,9 @@ class SurrogateConfig(Configuration):
     """Name of the architecture, as in `SurrogatePlant.model`."""
 
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs (at least one log) held out to choose the weights and to
-    calibrate intervals. Without test logs, the surrogate is scored on the held-out logs."""
+    """Fraction of the training logs (at least one log, or the end of a single log) held out to
+    choose the weights and to calibrate intervals. Without test logs, the surrogate is scored on the
+    held-out logs."""
 
 
 class Architecture(NamedTuple):

@@ -67,16 +67,12 @@ def keep_best_nets(
 
 
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
-    """Split logs into training logs and held-out logs; the last logs are held out.
-
-    Raises:
-        LogError: If there are fewer than two logs.
-    """
-    if (count := len(logs)) < 2:
-        raise LogError(
-            f"training logs: found {count}, expected at least 2, one for training and one held "
-            "out; record more, or split a long file into logs with --rows-per-log"
-        )
+    """Split logs into training logs and held-out logs: the last logs are held out, or the end of a
+    single log."""
+    count = len(logs)
+    if count == 1:
+        rows = round((1 - share) * logs[0].rows)
+        return jax.tree.map(lambda x: x[:rows], logs), jax.tree.map(lambda x: x[rows:], logs)
     # Complete logs are held out instead of rows, because neighbouring rows of a log are almost
     # equal and share the same drift.
     held_out = min(count - 1, max(1, round(count * share)))

@@ -133,11 +133,6 @@ def test_damaged_work_is_refused_by_name(tmp_path):
         RunDirectory(tmp_path / "s", {}, resume=True)
 
 
-def test_one_log_is_too_few(tmp_path):
-    with pytest.raises(LogError, match="training logs: found 1"):
-        fit_paper(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
-
-
 def test_logs_shorter_than_a_batch_are_refused(tmp_path):
     short = [small.log(rows=40), small.log(rows=40)]
     with pytest.raises(LogError, match="fewer than one batch of 32"):

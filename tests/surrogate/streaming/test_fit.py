@@ -132,7 +132,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
 @pytest.mark.parametrize(
     ("logs", "changes", "words"),
     [
-        (LOGS[:1], [], "training logs: found 1"),
+        (LOGS[:1], [], "held-out logs: none of 1 .* 210 rows"),
         (LOGS, ["ticks=390"], "training logs: .* 411 .*--ticks N"),
         ([*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)], [], "held-out logs: .* 210 rows"),
     ],

@@ -255,19 +255,22 @@ def fit_streaming(
     seed: int,
     run_directory: RunDirectory,
     progress: Progress | None = None,
+    members: Member | None = None,
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory` if there
-    is one."""
+    is one.
+
+    Training starts from `members`, or by default from random weights.
+    """
     training, holding, scales, table = split_streaming(logs, config)
+    key = named_key(seed, "fit/weights")
     start = jit("none")(ensemble)
-    members = start(
-        config.members, config.drive, config.force, scales, named_key(seed, "fit/weights")
-    )
-    updates = {"drive": config.drive_updates, "force": config.force_updates}
+    members = members or start(config.members, config.drive, config.force, scales, key)
     learners = {
         "drive": StreamingLearner(drive_loss, config, config.drive_updates),
         "force": StreamingLearner(force_loss, config, config.force_updates),
     }
+    num_updates = config.drive_updates + config.force_updates
     states = {
         "drive": learners["drive"].start(members.drive),
         "force": learners["force"].start(members.force),
@@ -291,21 +294,21 @@ def fit_streaming(
         `errors` returns the squared errors on each held-out log, ``(members, rows)``.
         """
         key = named_key(seed, f"fit/{name}")
-        call, round_of = _calls(updates[name])
-        before = updates["drive"] if name == "force" else 0
+        updates = learners[name].updates
+        call, round_of = _calls(updates)
+        before = config.drive_updates if name == "force" else 0
         text = f"{name} networks"
-        while done[name] < updates[name]:
+        while done[name] < updates:
             state = states[name]
             losses = []
-            until = min(done[name] + round_of, updates[name])
+            until = min(done[name] + round_of, updates)
             calls = [(first, min(call, until - first)) for first in range(done[name], until, call)]
             after_calls = learners[name].run(state, table, predicted, calls, key)
             for (first, count), (after, loss) in zip(calls, after_calls, strict=True):
                 state = after
                 losses.append(loss)
                 if progress is not None:
-                    part = (before + first + count) / sum(updates.values())
-                    progress("fit", part, text)
+                    progress("fit", (before + first + count) / num_updates, text)
             # A diverged network overflows here; keep_best_nets then raises an error.
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
