@@ -34,6 +34,7 @@ from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
 from softfin.robot.node_config import RobotNodeConfig
+from softfin.stages.driving import RunConfig
 from softfin.storage.dataset import Dataset
 from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS

@@ -63,8 +63,8 @@ class Family(NamedTuple):
     nominal_noise: Float[AnyArray, "x y features"]
     """Error of the interpolation between the nodes of `nominal`."""
     friction: Float[AnyArray, "x y actions 2"]
-    """Change of `MOTOR_FEATURES` for 1 N m of friction: mean sign of the velocity of the shaft during each
-    action of the nominal fin [-], and its mean magnitude [rad/s]."""
+    """Change of `MOTOR_FEATURES` for 1 N m of friction: mean sign of the velocity of the shaft
+    during each action of the nominal fin [-], and its mean magnitude [rad/s]."""
     force: Float[AnyArray, "x y coefficients 2"]
     """Change in the true mean force (x, y) for each coefficient [N]."""
     features: Float[AnyArray, "x y actions coefficients features"]

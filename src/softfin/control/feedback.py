@@ -138,7 +138,7 @@ class FeedbackForces(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the feedback has found."""
+    """Result of the feedback."""
 
     force: Array
     """True mean force at the corrected reference (x, y) [N]."""
@@ -378,7 +378,7 @@ class Feedback:
         is_place = np.zeros(self.size)
         is_place[self._places] = 1.0
         tracked = state.tracked[1:]
-        near = self._near(ops, self._share() @ tracked, state.used)
+        near = self._near(ops, self._durations() @ tracked, state.used)
         faded = kept * (1 + is_place * (near - 1))
         mean = faded * state.mean
         added = added + is_place * (1 - near**2)
@@ -386,11 +386,12 @@ class Feedback:
         steps = xp.abs(state.references[1:] - state.references[:-1]).max()
         moved = xp.maximum(steps, xp.abs(tracked[1:] - tracked[:-1]).max())
         measured = self._measurements(ops, state, seen, mean, moved)
-        rows, errors = measured.rows, measured.errors
+        rows = measured.rows
+        errors = measured.errors
         # The start of the fin is not like any other window.
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
         count = xp.maximum(has.sum(), 1)
-        distance = xp.sqrt(((self._share() @ tracked - state.used) ** 2).sum()) / self.reach_n
+        distance = xp.sqrt(((self._durations() @ tracked - state.used) ** 2).sum()) / self.reach_n
         repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
 
         def weights(repeated: Number, level: Number) -> Array:
@@ -418,11 +419,11 @@ class Feedback:
         covariance = (found.covariance + found.covariance.T) / 2
         level = xp.where(has[2:].any(), (state.level + level) / 2, state.level)
         is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
-        used = xp.where(is_used, self._share() @ tracked, state.used)
+        used = xp.where(is_used, self._durations() @ tracked, state.used)
         return mean + found.change, covariance, used, level
 
-    def _share(self) -> Float[np.ndarray, "actions"]:
-        """Return the share of each action in a window."""
+    def _durations(self) -> Float[np.ndarray, "actions"]:
+        """Return the duration of each action as a fraction of the window."""
         clock = self.clock
         return np.array(clock.action_ticks(clock.window_actions)) / clock.window_ticks
 
@@ -436,11 +437,11 @@ class Feedback:
         assert newtons is not None
         tracked = state.tracked[1:]
         actions = self.clock.window_actions
-        share = self._share()
-        centre = share @ tracked
+        durations = self._durations()
+        centre = durations @ tracked
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
-        force_error = share @ seen[:, FORCE_FEATURES] - centre
+        force_error = durations @ seen[:, FORCE_FEATURES] - centre
         force_variance = (newtons.noise_n**2 + moved**2) * np.ones(2)
         place = newtons.rest_n * np.eye(2)
         family = self.family
@@ -457,10 +458,10 @@ class Feedback:
         (changes,) = family.interpolate(ops, tracked, family.features, own=own)
         changes = xp.moveaxis(changes, 1, 2)
         ahead = seen - nominal
-        mean_change = xp.tensordot(share, changes, 1)
+        mean_change = xp.tensordot(durations, changes, 1)
         # Drift and the affine error are the same in every action of a window, so the pattern is
         # relative to the mean.
-        ahead = ahead - IS_FORCE * (share @ ahead)
+        ahead = ahead - IS_FORCE * (durations @ ahead)
         changes = changes - IS_FORCE[:, None] * mean_change
         count = actions * nominal.shape[1]
         spread = ops.constant(family.feature_spread)

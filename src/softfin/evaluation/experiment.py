@@ -207,9 +207,9 @@ class LoopRecording(NamedTuple):
     command: Command
     reading: Reading
     output: Any
-    """The output of `hold`."""
+    """Output of `hold`."""
     estimate: Any
-    """What the controller's `estimate` returned after each action; None without this method."""
+    """Result of the controller's method `estimate` after each action; None without this method."""
 
 
 def closed_loop(
@@ -257,7 +257,7 @@ def closed_loop(
 
 
 def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
-    """Return what a controller measures over an action: the last angle, and means."""
+    """Return the measurements of a controller over an action: the last angle, and means."""
     # Readings are padded to the longest action, so use the last valid angle and average only over
     # the valid forces.
     angle = jnp.asarray(reading.angle)[ticks - 1]

@@ -66,7 +66,7 @@ class FamilyConfig(Configuration):
 
 
 class _Steady(NamedTuple):
-    """What a controller does on one fin after some windows, at each reference."""
+    """Last window of a controller on one fin, at each reference."""
 
     force: Float[AnyArray, "*references 2"]
     """True mean force over the window [N]."""
@@ -110,14 +110,14 @@ def find_family(
 
     def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
         inside = np.asarray(reachable.project(references), np.float32)
-        found: _Steady = _steady(controller, fin, jnp.asarray(inside))
+        found: _Steady = _run_references(controller, fin, jnp.asarray(inside))
         return _Steady(*map(np.asarray, found))
 
     fine = run(tank, lattice(config.nominal_nodes))
     coarse = lattice(config.nodes)
     between = _references_between(coarse, reachable)
     nominal = [run(tank, coarse), run(tank, between)]
-    known: list[list[_Steady]] = []
+    fitted: list[list[_Steady]] = []
     held_out: list[list[_Steady]] = []
     for index in range(config.fins):
         fin = sample_tank(tank, named_key(config.seed, f"family/{index}"), config.widths)
@@ -126,11 +126,11 @@ def find_family(
             jax.tree.map(np.subtract, run(fin, at), before)
             for at, before in zip(places, nominal, strict=False)
         ]
-        (known if len(places) == 1 else held_out).append(changes)
+        (fitted if len(places) == 1 else held_out).append(changes)
         progress("family", (index + 1) / config.fins, f"fin {index + 1} of {config.fins}")
     moved = np.linalg.norm(reachable.project(coarse) - coarse, axis=1)
     weights = np.where(moved > 0.1 * reachable.reach_n, OUTSIDE_WEIGHT, 1.0)
-    components = _components([changes[0] for changes in known], weights, config.coefficients)
+    components = _components([changes[0] for changes in fitted], weights, config.coefficients)
     shape = (config.nominal_nodes, config.nominal_nodes)
     features = np.reshape(fine.features, (*shape, *fine.features.shape[1:]))
     coarse_shape = (config.nodes, config.nodes)
@@ -202,9 +202,9 @@ def _components(
     every = np.stack(list(map(flat, changes)))
     _, lengths, directions = np.linalg.svd(every, full_matrices=False)
     projection = directions[:count].T / lengths[:count] * np.sqrt(len(changes))
-    known = every @ projection
+    fitted = every @ projection
     solved = [
-        np.linalg.lstsq(known, values.reshape(len(known), -1), rcond=None)[0]
+        np.linalg.lstsq(fitted, values.reshape(len(fitted), -1), rcond=None)[0]
         for values in (forces, features)
     ]
     return _Components(
@@ -244,7 +244,7 @@ def _unexplained(
 
 
 @eqx.filter_jit
-def _steady(
+def _run_references(
     controller: LoadedController, tank: Tank, references: Float[Array, "references 2"]
 ) -> _Steady:
     clock = controller.clock
@@ -290,5 +290,5 @@ def _steady(
         mean = (held[:, None] * true[last]).sum(axis=0) / clock.window_ticks
         return _Steady(mean, features[last], friction[last])
 
-    steady: _Steady = jax.lax.map(one, references, batch_size=BATCH)
-    return steady
+    found: _Steady = jax.lax.map(one, references, batch_size=BATCH)
+    return found

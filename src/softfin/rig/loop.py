@@ -36,7 +36,7 @@ class ActionResult:
     target: Target
     samples: list[Sample]
     estimate: Estimate | None = None
-    """What feedback has found; None without feedback."""
+    """Result of feedback; None without feedback."""
 
 
 def run_controller(

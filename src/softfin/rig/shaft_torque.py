@@ -133,10 +133,10 @@ class _Torque:
             return None
         power_w = torque * velocity
         if is_moving:
-            self._judge(power_w)
+            self._check_sign(power_w)
         return None if self._is_reversed else (float(torque.mean()), float(power_w.mean()))
 
-    def _judge(self, power_w: _Series) -> None:
+    def _check_sign(self, power_w: _Series) -> None:
         """Check the sign of the torque."""
         self._ticks += len(power_w)
         self._power_w += power_w.sum()

@@ -32,7 +32,7 @@ TORQUE_CONSTANT_NM_A = 111 * 0.0259
 torque constant of 25.9 mN m/A of the motor."""
 
 AMPERE_PER_NM = 1 / TORQUE_CONSTANT_NM_A
-"""Its inverse [A/(N m)]."""
+"""Motor current divided by torque at the fin [A/(N m)]."""
 
 
 class DriveConfig(Configuration):
