@@ -54,7 +54,8 @@ def run_controller(
     `shaft_torque` measures the torques (default: without warnings).
     """
     shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
-    durations = controller_clock(controller).ticks
+    clock = controller_clock(controller)
+    durations = clock.ticks
     state = controller.init()
     angle = (session.newest or session.tick()).angle
     force = (0.0, 0.0)
@@ -71,7 +72,7 @@ def run_controller(
         samples = session.hold(target, durations[index % len(durations)])
         ticks += len(samples)
         angle = samples[-1].angle
-        x, y = shaft_torque.force(samples)
+        x, y = shaft_torque.force(samples, clock.window_actions)
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None

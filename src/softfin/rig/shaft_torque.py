@@ -40,6 +40,8 @@ class ShaftTorque:
         self._session = session
         self._warn = warn
         self._is_needed = is_needed
+        self._delayed: list[_Series] = []
+        """Effect of the delay on the mean force of the last actions [N]."""
         self._sensed = _Torque(
             "the torque of the force sensor",
             "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
@@ -53,12 +55,15 @@ class ShaftTorque:
             warn,
         )
 
-    @staticmethod
-    def force(samples: Sequence[Sample]) -> MeasuredForce:
-        """Return the mean force (x, y) at the times of the samples of an action [N]."""
+    def force(self, samples: Sequence[Sample], window_actions: int) -> MeasuredForce:
+        """Return the mean force (x, y) over the samples of an action [N], corrected for the delay
+        of the sensor; the mean over a window stays that of the readings."""
         rows = [(each.time, each.force_time, *each.wrench[:2]) for each in samples]
         time, force_time, *forces = np.array(rows, float).T
-        x, y = (float(on_time(time, force_time, values).mean()) for values in forces)
+        read = np.mean(forces, axis=1)
+        corrected = np.mean([on_time(time, force_time, values) for values in forces], axis=1)
+        self._delayed = [*self._delayed, read - corrected][-window_actions:]
+        x, y = (corrected + np.mean(self._delayed, axis=0)).tolist()
         return x, y
 
     def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
