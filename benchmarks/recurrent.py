@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
-from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
+from softfin.core.plant import Plant, State, Ticks, hold_action_with_hidden
 from softfin.core.quantities import Limits, action_to_command
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording, RecordedTicks
@@ -57,13 +57,13 @@ def run_recurrent(
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, RecordedTicks]:
         command = action_to_command(limits, action)
-        state, (reading, true_force) = hold_action_with_true_force(
+        state, (reading, hidden) = hold_action_with_hidden(
             plant, state, command, ticks, PAPER_CLOCK.max_ticks
         )
         return state, (
             jax.tree.map(lambda x: jnp.full(PAPER_CLOCK.max_ticks, x), command),
             reading,
-            true_force,
+            hidden.true_force,
         )
 
     advance = jax.jit(jax.vmap(hold, (0, 0, None)))

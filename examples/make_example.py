@@ -36,6 +36,7 @@ RECORDING = "recordings/minute.csv"
 
 MAKING = {
     "run": "softfin reproduce --preset demo --plant tank --out run",
+    "run/gaits/family": "softfin family run/gaits",
     "grid": "softfin train run/surrogate --controller grid --out grid",
     "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out "
     "minute",
@@ -74,6 +75,8 @@ def main() -> None:
     for name, source in PARTS.items():
         for file in (f"{'controller' if name in CONTROLLERS else name}.json", artifacts.WEIGHTS):
             copy(work / source / file, EXAMPLE / name / file)
+    for file in ("family.json", artifacts.WEIGHTS):
+        copy(work / PARTS["gaits"] / "family" / file, EXAMPLE / "gaits/family" / file)
     (EXAMPLE / RECORDING).parent.mkdir()
     (EXAMPLE / RECORDING).write_text(plain_csv(work / "minute/train/0000.parquet"))
     files = sorted(file for file in EXAMPLE.rglob("*") if file.is_file())

@@ -71,7 +71,8 @@ def day(quick: bool) -> None:
         "--feedback",
     )
     softfin(*judged, *amount, *MOVES)
-    softfin("run", "controller", "--reference=1.5,-0.5", "--seconds=5", "--bag", "run.mcap", *MOVES)
+    held = ("--reference=1.5,-0.5", "--seconds=5", "--feedback", "--bag", "run.mcap")
+    softfin("run", "controller", *held, *MOVES)
     softfin("export", "controller", "--onnx", "controller.onnx")
     mean = json.loads(Path("evaluation/evaluation.json").read_text())["mean"]
     print(

@@ -67,6 +67,7 @@ IN_THE_DAY = (
     "collect --plant rig --out dataset --arm",
     "evaluate controller --plant rig --feedback --out evaluation --arm",
     "run controller --reference=2,0 --arm",
+    "run controller --reference=2,0 --feedback --arm",
     "map surrogate --out controller",
 )
 """Commands that need devices, which CI does at emulated ones: examples/rig_day.py."""

@@ -17,6 +17,7 @@ from mcap.records import Channel
 import softfin
 from softfin import cli
 from softfin.control.controller import Measured
+from softfin.control.family import load_family
 from softfin.core.quantities import Command
 from softfin.rig.config import load_rig, load_ros2
 from softfin.storage import artifact as artifacts
@@ -124,6 +125,14 @@ def test_controller(name: str) -> None:
         commands(softfin.load_controller(GOLDEN / name)), ARRAYS[name], **EXACT
     )
     np.testing.assert_allclose(numpy_commands(GOLDEN / name), ARRAYS[name], **EXACT)
+
+
+def test_family() -> None:
+    controller = softfin.load_controller(GOLDEN / "gaits")
+    family = load_family(GOLDEN / "gaits", controller)
+    assert family is not None
+    assert family.coefficients == 2
+    assert family.nominal.shape == (3, 3, 6, 7)
 
 
 def test_reachable_forces() -> None:

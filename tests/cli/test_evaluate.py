@@ -34,6 +34,7 @@ class Loaded(Covering):
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
     monkeypatch.setattr("softfin.evaluation.evaluate.load_controller", lambda path: Loaded())
+    monkeypatch.setattr("softfin.evaluation.evaluate.load_family", lambda path, controller: None)
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")

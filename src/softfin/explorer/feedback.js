@@ -114,7 +114,7 @@ class Feedback {
     const kept = new Float64Array(size).fill(1), added = new Float64Array(size), near = this.near(centre);
     const keptDrift = Math.exp(-seconds / (2 * config.drift_s));
     // Without a family, a changing fin can only show in the constant error.
-    added.fill(seconds / config.change_s, 0, coefficients || 2);
+    added.fill(seconds / config.change_s, 0, coefficients);
     for (const i of this.drifts) [kept[i], added[i]] = [keptDrift, 1 - keptDrift ** 2];
     for (const i of this.places) [kept[i], added[i]] = [near, 1 - near ** 2];
     const mean = this.mean.map((value, i) => kept[i] * value);
