@@ -1,4 +1,4 @@
-"""Measures feedback on fins that change: ``python -m studies.feedback [CASE...]``.
+"""Measures feedback on fins that change: ``python -m studies.feedback`` and the names of cases.
 
 Errors are those of the true mean force over each window of the clock, with the example's gaits.
 Each case is run without feedback and with force, torque and both; `motor` has neither a force nor a
@@ -106,10 +106,14 @@ class Run(NamedTuple):
     def error(self) -> Float[np.ndarray, "fins windows 2"]:
         return self.force - self.reference
 
-    def covered(self) -> Float[np.ndarray, "fins windows 2"]:
-        """Return whether the true mean force is within the 90% interval."""
-        assert self.estimate is not None
-        return np.abs(self.force - self.estimate.force) <= self.estimate.half_width
+    def coverage(self, from_window: int = 2) -> float | str:
+        """Return how often the true mean force is within the 90% interval, except in the first
+        window after the reference moved."""
+        if self.estimate is None:
+            return ""
+        is_within = np.abs(self.force - self.estimate.force) <= self.estimate.half_width
+        is_held = (np.diff(self.reference, axis=1) == 0).all(axis=2)
+        return float(is_within[:, 1:][:, from_window - 1 :][is_held[:, from_window - 1 :]].mean())
 
 
 @eqx.filter_jit
@@ -251,8 +255,7 @@ def toggle(count: int = 10) -> None:
         late = slice(4, None, 5)
         x, y = (rms(found.error[:, late, axis]) for axis in (0, 1))
         other_x, other_y = (rms(other.error[:, late, axis]) for axis in (0, 1))
-        covered = "" if found.estimate is None else float(found.covered()[:, late].mean())
-        line(setup.name, x, y, other_x, other_y, covered)
+        line(setup.name, x, y, other_x, other_y, found.coverage())
 
 
 def sudden(count: int = 100, each_s: float = 60) -> None:
@@ -271,8 +274,7 @@ def sudden(count: int = 100, each_s: float = 60) -> None:
         errors = [rms(found.error[:, window]) for window in (14, 17, 19, 24)]
         size = np.linalg.norm(found.error[:, 19], axis=1)
         allowed = 1.5 * np.maximum(np.linalg.norm(unchanged, axis=1), 0.02)
-        covered = "" if found.estimate is None else float(found.covered()[:, 2:].mean())
-        line(setup.name, *errors, float((size <= allowed).mean()), covered)
+        line(setup.name, *errors, float((size <= allowed).mean()), found.coverage())
 
 
 def slow(count: int = 10) -> None:
@@ -293,8 +295,7 @@ def slow(count: int = 10) -> None:
             rms(np.linalg.norm(found.error[:, window - 15 : window].mean(axis=1), axis=-1))
             for window in (150, 300, 600)
         ]
-        covered = "" if found.estimate is None else float(found.covered()[:, 2:].mean())
-        line(setup.name, *errors, covered)
+        line(setup.name, *errors, found.coverage())
 
 
 def outside(count: int = 20) -> None:
@@ -342,7 +343,7 @@ def false_alarms(count: int = 20) -> None:
             setup.name,
             float(starts.sum(axis=1).mean()),
             float(found.estimate.level.max()),
-            float(found.covered()[:, 4::5].mean()),
+            found.coverage(),
         )
 
 

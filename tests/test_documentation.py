@@ -189,6 +189,8 @@ VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
 def options() -> set[str]:
     """Of all commands and scripts, and the fields of configurations."""
     names = {"--help", "--version", "--json", "--debug", "--extra"}
+    # Nested in a field that is null by default; and an option that has a new name.
+    names |= {"--feedback.drift-n", "--feedback.uses", "--trim"}
     for command in COMMANDS:
         names.update(application.list_options(import_function(command)))
     for base in chain(*CONFIGURATIONS.values()):

@@ -66,11 +66,11 @@ def test_a_family_is_for_the_weights_of_its_controller(gaits, tmp_path):
     description = copy / "family" / "family.json"
     found = json.loads(description.read_text())
     description.write_text(json.dumps({**found, "controller_sha256": "0"}))
-    with pytest.raises(ArtifactError, match="family of a controller with other weights"):
+    with pytest.raises(ArtifactError, match="made for a controller with different weights"):
         load_family(copy, load_controller(copy))
     few = {**found, "configuration": {**found["configuration"], "fins": 19}}
     description.write_text(json.dumps(few))
-    with pytest.raises(ArtifactError, match="made from 19 fins, but needs at least 20"):
+    with pytest.raises(ArtifactError, match="made from 19 fins, expected at least 20"):
         load_family(copy, load_controller(copy))
     description.write_text(json.dumps(found))
     (copy / "family" / "weights.safetensors").write_bytes(b"")

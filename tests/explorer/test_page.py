@@ -435,15 +435,15 @@ def test_feedback_uses_what_is_chosen_and_says_what_it_finds(opened):
     assert opened.run("loop.controller.feedback.uses") == "both"
     opened.run("run(820)")
     # These gaits are not those of this random family.
-    assert state().endswith("the fin is not of the family: only the mean force counts.")
+    assert state().endswith("the fin is outside the family, so feedback relies on the mean force.")
     for _, uses in zip(range(4), ("none", "force", "torque", "both"), strict=True):
         opened.press("t", ord("T"))
         assert opened.run("loop.controller.feedback?.uses ?? 'none'") == uses
         assert (opened.run("loop.controller.feedback === null")) == (uses == "none")
     opened.run("choose({ feedback: 'torque', plant: 1 }); run(50)")
-    assert state() == "No torque is measured in a surrogate."
+    assert state() == "A surrogate does not predict the torque."
     opened.run("choose({ controller: 1, plant: 0 }); run(50)")
-    assert state() == "Feedback from torque needs a family of fins."
+    assert state() == "Feedback from torque requires a family of fins (softfin family)."
     assert opened.run("loop.controller.feedback === null")
     opened.run("choose({ feedback: 'none' }); run(50)")
     assert state() == ""

@@ -29,7 +29,7 @@ def test_the_controller_sees_the_mean_force_since_its_last_action():
     x = [force[0] for force in controller.forces[1:]]
     # Each action is corrected for the delay of the sensor, but not their mean over a window.
     assert x == pytest.approx(read[:-1], abs=0.1)
-    assert {force[1] for force in controller.forces[1:]} == {pytest.approx(0.1)}
+    assert [force[1] for force in controller.forces[1:]] == pytest.approx([0.1] * len(x))
 
 
 def test_the_controller_sees_forces_without_what_the_sensor_read_at_rest():

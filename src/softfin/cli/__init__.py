@@ -70,7 +70,7 @@ GROUPS = {
         ),
         "family": Command(
             "softfin.stages.controllers:family",
-            "find what the fin of a controller may become, for feedback",
+            "find how the fin of a controller may change, for feedback",
         ),
         "train": Command(
             "softfin.stages.controllers:train", "train force controllers inside a surrogate"

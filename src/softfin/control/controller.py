@@ -35,11 +35,11 @@ class Measured(NamedTuple):
     force: Array
     """Mean force (x, y) since the last action [N]; 0 before the first action."""
     shaft: Array | None = None
-    """Mean torque on the fin about the shaft [N m] and mean power that it receives [W] since the
-    last action; positive if the drive delivers power. None if not measured."""
+    """Mean torque on the fin about the shaft [N m] and mean power delivered to the fin [W] since
+    the last action; None if not measured. Torques are positive towards positive angles."""
     motor: Array | None = None
-    """Mean torque [N m] and mean power [W] of the motor at the fin's side of the gearbox since the
-    last action, computed from its current; None if not measured."""
+    """Mean torque [N m] and mean power [W] of the motor since the last action, at the output of the
+    gearbox and computed from the motor current; None if not measured."""
 
 
 @runtime_checkable

@@ -1,13 +1,13 @@
-"""The family of a fin: how the fins that it may become differ from it, in a few coefficients.
+"""The family of a fin: the ways in which the fin may change, described by a few coefficients.
 
-A soft fin changes with temperature, age, damage, and from one piece to the next, and so do its
-servo and its sensor. All these changes together have few dimensions: a handful of coefficients
-describes what they do to the mean force, at every reference, and to everything that can be
-measured while the controller runs. `softfin.evaluation.find_family` finds the family by simulation;
-this module stores it and looks it up. No JAX.
+A soft fin changes with temperature, age and damage, and differs from one piece to the next. The
+same is true of its servo and its sensor. A few coefficients describe the effects of all these
+changes on the mean force at every reference, and on all measurements while the controller runs.
+`softfin.evaluation.find_family` finds the family by simulation; this module stores and interpolates
+it. No JAX.
 
-Everything is tabulated over a lattice of references. At each node, a table holds the value for the
-nominal fin and its derivative with respect to each coefficient.
+The family consists of tables over lattices of references. At each node, the tables contain the
+values for the nominal fin and their derivatives with respect to each coefficient.
 """
 
 from collections.abc import Mapping
@@ -38,41 +38,41 @@ FEATURES = (
     "motor_torque",
     "motor_power",
 )
-"""Measurements of one action: mean force (x, y) [N], angle of the shaft at its end [rad], and mean
-torque [N m] and power [W], first of the fin, then of the motor."""
+"""Measurements of one action: mean force (x, y) [N], shaft angle at the end of the action [rad],
+and mean torque [N m] and power [W], first on the fin, then of the motor."""
 
 FORCE_FEATURES = slice(0, 2)
-"""Features that the force sensor shows."""
+"""Features that require a force sensor."""
 LOAD_FEATURES = slice(3, 7)
-"""Features that the torque or the current shows."""
+"""Features that require a measured torque or current."""
 MOTOR_FEATURES = slice(5, 7)
-"""Features that friction and the torque constant change."""
+"""Features that depend on friction and on the torque constant."""
 
 
 class Family(NamedTuple):
-    """Tables of a family over lattices of references with the same corners, and the accuracy with
-    which its coefficients describe its fins."""
+    """Tables of a family over lattices of references with the same corners, and the errors that
+    remain when the coefficients describe the fins."""
 
     low: Float[AnyArray, "2"]
     """Lower corner (x, y) of the lattices [N]."""
     high: Float[AnyArray, "2"]
     """Upper corner (x, y) of the lattices [N]."""
     nominal: Float[AnyArray, "x y actions features"]
-    """`FEATURES` of each action of a window for the nominal fin. This lattice is finer than the
-    others, because gaits differ much between neighbouring references."""
+    """`FEATURES` of each action of a window for the nominal fin. This lattice is finer than that of
+    the changes, because the gaits of neighbouring references can differ greatly."""
     nominal_noise: Float[AnyArray, "x y features"]
-    """Error of the interpolation between the nodes of `nominal`."""
+    """Standard deviation of the interpolation error between the nodes of `nominal`."""
     friction: Float[AnyArray, "x y actions 2"]
-    """Change of `MOTOR_FEATURES` for 1 N m of friction: mean sign of the velocity of the shaft
-    during each action of the nominal fin [-], and its mean magnitude [rad/s]."""
+    """Change in `MOTOR_FEATURES` per 1 N m of friction: mean sign [-] and mean magnitude [rad/s] of
+    the shaft velocity during each action of the nominal fin."""
     force: Float[AnyArray, "x y coefficients 2"]
-    """Change in the true mean force (x, y) for each coefficient [N]."""
+    """Change in the true mean force (x, y) per unit of each coefficient [N]."""
     features: Float[AnyArray, "x y actions coefficients features"]
-    """Change in the features for each coefficient."""
+    """Change in the features per unit of each coefficient."""
     force_noise: Float[AnyArray, "2"]
-    """Standard deviation of the mean force (x, y) that the coefficients do not explain [N]."""
+    """Standard deviation of the part of the mean force (x, y) that is not explained [N]."""
     feature_noise: Float[AnyArray, "features"]
-    """Standard deviation of each feature that the coefficients do not explain."""
+    """Standard deviation of the part of each feature that is not explained."""
     feature_spread: Float[AnyArray, "features"]
     """Standard deviation of each feature of the nominal fin over the references."""
 
@@ -84,8 +84,8 @@ class Family(NamedTuple):
     def interpolate(
         self, ops: Operations, references: Array, *tables: Array, own: tuple[Array, ...] = ()
     ) -> list[Array]:
-        """Interpolate tables of the same lattice at ``(references, 2)``, linearly in x and y; `own`
-        are further indices, one for each reference."""
+        """Interpolate tables of the same lattice at ``(references, 2)``, linearly in x and y. `own`
+        contains indices for the axes after x and y, with one entry per reference."""
         xp = ops.xp
         last = np.array(tables[0].shape[:2]) - 1
         low = ops.constant(self.low)
@@ -109,17 +109,17 @@ class Family(NamedTuple):
 def save_family(
     path: Path, controller: LoadedController, family: Family, keys: Mapping[str, object]
 ) -> None:
-    """Write a family into the folder of its controller, where it replaces an older one."""
+    """Write a family into the folder of its controller, replacing an existing family."""
     description = {"controller_sha256": controller.artifact.weights_sha256, **keys}
-    # Half precision is a hundredth of the noise of the features.
+    # The rounding error of half precision is about 1% of the noise of the features.
     arrays = {name: np.asarray(part, np.float16) for name, part in family._asdict().items()}
     artifacts.save(path / FAMILY_KIND, FAMILY_KIND, description, arrays, overwrite=True)
 
 
 def load_family(path: Path, controller: LoadedController) -> Family | None:
-    """Read the family from the folder of its controller; None if there is none.
+    """Read the family from the folder of a controller; return None if there is none.
 
-    Raises ArtifactError if the family is damaged, or of another controller.
+    Raises ArtifactError if the family is damaged or belongs to a different controller.
     """
     folder = path / FAMILY_KIND
     if not folder.exists():
@@ -127,11 +127,11 @@ def load_family(path: Path, controller: LoadedController) -> Family | None:
     again = f"run softfin family {path}"
     description, arrays = artifacts.load(folder, FAMILY_KIND)
     if description.get("controller_sha256") != controller.artifact.weights_sha256:
-        raise ArtifactError(f"{folder}: family of a controller with other weights; {again}")
+        raise ArtifactError(f"{folder}: made for a controller with different weights; {again}")
     fins = description.get("configuration", {}).get("fins", 0)
     if fins < MIN_FINS:
         raise ArtifactError(
-            f"{folder}: made from {fins} fins, but needs at least {MIN_FINS}; {again}"
+            f"{folder}: made from {fins} fins, expected at least {MIN_FINS}; {again}"
         )
     try:
         family = Family(**{name: np.asarray(part, np.float32) for name, part in arrays.items()})

@@ -1,33 +1,34 @@
-"""Feedback around any controller: estimate what has become of the fin and of the sensor, and
+"""Feedback around any controller: estimate the change of the fin and the drift of the sensor, and
 correct the reference for the fin only.
 
-A softer fin, colder water or a slower servo changes the mean force at every reference; a drifting
-sensor changes the reading only. A Kalman filter estimates both, and nuisances, from one window of
-the clock at a time. Its state, in units of the prior standard deviation:
+A softer fin, colder water or a slower servo changes the mean force at every reference. A drifting
+sensor changes only the reading. A Kalman filter, which is updated once per window of the clock,
+estimates both and several nuisance parameters. Its state, in units of the prior standard deviation:
 
     c   coefficients of the family of the fin (`softfin.control.family`): a random walk from 0
-    r   rest of the controller's force error, an affine function of the reference: constant, so
-        returning to a reference does not make it uncertain again
-    g   what is left at the present reference: an Ornstein-Uhlenbeck process over the distance that
-        the reference moves
+    r   rest of the controller's force error, an affine function of the reference: constant, so it
+        does not become uncertain again when the reference returns to an earlier value
+    g   local force error at the current reference: an Ornstein-Uhlenbeck process over the distance
+        that the reference moves
     d   drift of the force sensor since it was zeroed: an Ornstein-Uhlenbeck process from 0
     f   Coulomb friction of the drive, and error of the torque constant
 
-The measurements of a window are its mean force, and for each of its actions the deviation of the
-force from this mean, the angle of the shaft, the torque on the fin, and the torque of the motor;
-whatever is missing has no weight. Windows do not overlap, so their noise is independent.
+The measurements of a window are its mean force and, for each action, the deviation of the force
+from this mean, the shaft angle, the torque and power on the fin, and the torque and power of the
+motor. Missing measurements have no weight. Windows do not overlap, so their noise is independent.
 
-What tells the fin from the sensor is the pattern within the window: a changed fin changes the
-forces, angles and torques of the actions relative to each other, and drift does not. Without a
-family there is no such pattern, and only time separates r from d: r exists from the start, and d
-grows as the prior allows. A fin that changes slowly is then taken for drift.
+The pattern within the window distinguishes the fin from the sensor: a changed fin changes the
+forces, angles and torques of the actions relative to each other, whereas drift does not. Without a
+family, the filter has no such pattern, and only time separates r from d: r exists from the start,
+whereas d grows over time. The filter then mistakes slow changes of the fin for drift.
 
-If the innovations are much larger than expected, the fin has changed suddenly: the coefficients
-become as uncertain as at the start. If no coefficients explain the pattern, the fin is not of the
-family (torn, blocked, weed): its noise is raised to the level found, so the window mean decides,
-r becomes uncertain again, and `Estimate.level` tells.
+If the innovations are much larger than expected, the fin has changed suddenly, and the coefficients
+become as uncertain as they are over the whole family. If no coefficients explain the pattern, the
+fin is outside the family (a torn fin, a blocked shaft or weed). The noise of the pattern is then
+raised to the observed level, so that the mean force of the window dominates. r and g also become
+uncertain again after a sudden change. `Estimate.level` reports the observed level.
 
-The corrected reference r' solves r' + bias(r') = r by fixed-point iteration, within the
+The corrected reference x solves x + bias(x) = reference by fixed-point iteration, within the
 controller's cells and the reachable forces.
 """
 
@@ -62,60 +63,66 @@ FIXED_POINT_STEPS = 2
 """Number of steps of the fixed-point iteration per action."""
 
 START_DEVIATION = 0.3
-"""Prior standard deviation of the coefficients at the start, when the fin is about the nominal one
-[-]."""
+"""Prior standard deviation of the coefficients at the start, when the fin is close to the nominal
+fin [-]."""
 
 NEAR_SHARE = 0.15
-"""Distance over which the force error at a reference tells that at another one, as a fraction of
-the reach [-]."""
+"""Correlation length of the local force error between references, as a fraction of the reach
+[-]."""
 
 REPEATED = 20.0
-"""Factor on the variance that the family does not explain, in windows at a reference that was
-already used: what it does not explain is the same there, so it does not average out."""
+"""Factor on the unexplained variance in repeated windows at the same reference [-]. The unexplained
+part is the same in all of these windows, so it does not average out."""
 
 NEW_REFERENCE = 0.1
-"""Distance from the last used reference at which a window counts as new, as a fraction of the reach
-[-]."""
+"""Distance from the reference of the last used window at which a window counts as new, as a
+fraction of the reach [-]."""
 
 SUDDEN = 6.0
 """Excess of the squared normalized innovation over its expected value, in standard deviations,
 above which the fin has changed suddenly."""
 
+MIXED_TRUST = 0.01
+"""Weight of a window in which the fin changed suddenly, relative to others [-]."""
+
 UNFAMILIAR = 6.0
-"""`Estimate.level` above which the fin is not of the family."""
+"""`Estimate.level` above which the fin is outside the family."""
 
 WHITE_NOISE = np.array([0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01])
-"""Noise of the features that does not depend on the fin: force [N], angle [rad], and torques and
-powers as a fraction of their spread [-]."""
+"""Standard deviation of the noise of each feature, for any fin: force [N], angle [rad], and torques
+and powers as a fraction of their spread [-]."""
 
 FRICTION_SHARE = 0.1
 """Prior standard deviation of the friction, as a fraction of the spread of the motor torque [-]."""
 
 
 class FeedbackConfig(Configuration):
-    """Configuration of the feedback. A null force is the value for the paper's fin, scaled by the
-    size of the fin."""
+    """Configuration of the feedback.
+
+    If a force is null, softfin uses the value tuned on the paper's fin, scaled by the size of the
+    fin.
+    """
 
     uses: Literal["force", "torque", "both"] = "both"
-    """Measurements that the feedback may use, besides the angle; both: whichever are there. Torque
-    requires a family."""
+    """Measurements that the feedback uses in addition to the angle; both: all that are available.
+    torque requires a family."""
     bias_n: PositiveFloat | None = None
-    """Prior standard deviation of the force error of the controller that is not due to changes of
-    the fin [N]; null: 0.1 N, scaled."""
+    """Prior standard deviation of the part of the force error that is not due to changes of the fin
+    [N]; null: 0.1 N, scaled."""
     drift_n: NonNegativeFloat = 0.05
-    """Standard deviation of the sensor drift without zeroing [N]; belongs to the sensor, so it is
-    not scaled. If it is 0, every error is attributed to the fin."""
+    """Standard deviation of the sensor drift without zeroing [N]; not scaled, because it is a
+    property of the sensor. If it is 0, all errors are attributed to the fin."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     rest_n: PositiveFloat | None = None
-    """Standard deviation of the force error that is neither due to the fin nor affine in the
-    reference [N]; null: 0.02 N, scaled."""
+    """Standard deviation of the local force error, which is neither due to changes of the fin nor
+    affine in the reference [N]; null: 0.02 N, scaled."""
     noise_n: PositiveFloat | None = None
     """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.01
     N, scaled."""
     change_s: PositiveFloat = 1500.0
-    """Time in which the coefficients of a slowly changing fin change by their standard deviation
-    over fins [s]."""
+    """Time in which the coefficients of the fin change by their standard deviation over the family
+    [s]; smaller values correct faster changes."""
     torque_scale: NonNegativeFloat = 0.1
     """Prior standard deviation of the relative error of the torque constant [-]."""
     limit_n: PositiveFloat | None = None
@@ -141,14 +148,14 @@ class Estimate(NamedTuple):
     """Result of the feedback."""
 
     force: Array
-    """True mean force at the corrected reference (x, y) [N]."""
+    """Estimated true mean force at the corrected reference (x, y) [N]."""
     half_width: Array
-    """Half-width of its 90% interval (x, y) [N]."""
+    """Half-width of the 90% interval of `force` (x, y) [N]."""
     drift: Array
-    """Drift of the sensor since it was zeroed (x, y) [N]."""
+    """Estimated drift of the sensor since it was zeroed (x, y) [N]."""
     level: Number
-    """Mean square of what the family does not explain, relative to its expected value [-]; the fin
-    is not of the family above `UNFAMILIAR`."""
+    """Mean square of the unexplained pattern, relative to its expected value [-]; smoothed, and at
+    least 1. Above `UNFAMILIAR`, the fin is outside the family."""
 
 
 class FeedbackState(NamedTuple):
@@ -166,7 +173,7 @@ class FeedbackState(NamedTuple):
     references: Array
     """Uncorrected references of the last actions and of the next one [N]."""
     used: Array
-    """Corrected reference of the last used window [N]."""
+    """Mean corrected reference over the last window that was used [N]."""
     level: Number
     """As in `Estimate`."""
     age: Number
@@ -190,7 +197,7 @@ class Feedback:
     def __post_init__(self) -> None:
         if self.family is None and self.config.uses == "torque":
             raise ConfigurationError(
-                "feedback.uses = torque: needs the family of the fin; run softfin family CONTROLLER"
+                "feedback.uses = torque: requires a family; run softfin family CONTROLLER"
             )
         # JAX recreates the object inside a compiled program, where the reach has no value; the
         # forces are already set by then.
@@ -235,8 +242,8 @@ class Feedback:
 
     @property
     def size(self) -> int:
-        """Number of states of the filter: coefficients, 6 of the affine error, 2 of its rest, 2 of
-        the drift, friction and torque constant."""
+        """Number of states of the filter: the coefficients, 6 parameters of the affine error, 2 of
+        the local error, 2 of the drift, friction, and torque constant."""
         return self.coefficients + 12
 
     @property
@@ -307,7 +314,7 @@ class Feedback:
         ), command
 
     def estimate(self, state: FeedbackState) -> Estimate:
-        """Return what the feedback has found, for the reference of the last action."""
+        """Return the estimate for the reference of the last action."""
         ops = select_operations(state.mean)
         xp = ops.xp
         tracked = state.tracked[-1]
@@ -327,13 +334,13 @@ class Feedback:
         )
 
     def _near(self, ops: Operations, one: Array, other: Array) -> Number:
-        """Return the correlation of the force errors at two references."""
+        """Return the correlation of the local force errors at two references."""
         distance = ops.xp.sqrt(((one - other) ** 2).sum())
         return ops.xp.exp(-distance / (NEAR_SHARE * self.reach_n))
 
     def _bias_rows(self, ops: Operations, reference: Array, near: Number) -> Array:
         """Return the derivatives of the force error (x, y) [N] with respect to the filter state;
-        `near` is the correlation with the reference of the last window."""
+        `near` is the correlation of the local error with that of the last used window."""
         xp = ops.xp
         assert self.newtons is not None
         force = xp.zeros((0, 2))
@@ -361,8 +368,8 @@ class Feedback:
     def _update(
         self, ops: Operations, state: FeedbackState, seen: Array
     ) -> tuple[Array, Array, Array, Number]:
-        """Return the mean, the covariance, the reference and the level after the window that has
-        just ended."""
+        """Return the mean, the covariance, the last used reference and the level after the window
+        that has just ended."""
         xp = ops.xp
         config = self.config
         assert self.newtons is not None
@@ -388,7 +395,7 @@ class Feedback:
         measured = self._measurements(ops, state, seen, mean, moved)
         rows = measured.rows
         errors = measured.errors
-        # The start of the fin is not like any other window.
+        # Skip the first window, in which the fin starts from rest.
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
         count = xp.maximum(has.sum(), 1)
         distance = xp.sqrt(((self._durations() @ tracked - state.used) ** 2).sum()) / self.reach_n
@@ -399,11 +406,14 @@ class Feedback:
             raised = xp.concatenate([np.ones(2), level * np.ones(rows.shape[0] - 2)])
             return has / (variance * raised)
 
-        # A fin outside the family raised the level in the windows before.
+        # If the fin is outside the family, earlier windows have raised the level.
         found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
         is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
+        # A window in which the fin changed is partly that of the old fin, so the next one decides.
+        is_new = state.used[0] == np.inf
+        is_mixed = is_sudden & xp.logical_not(is_new)
         sudden = xp.where(is_sudden, 1.0, 0.0)
-        # What the family does not explain is different for the changed fin.
+        # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
         index = np.arange(self.size)
         covariance = covariance + sudden * np.diag((index < coefficients).astype(float))
@@ -411,15 +421,19 @@ class Feedback:
         left = (errors - rows @ found.change)[2:]
         level = (weights(1.0, 1.0)[2:] * left**2).sum() / xp.maximum(has[2:].sum(), 1)
         level = xp.maximum(level, 1.0)
-        # If no coefficients explain the pattern, the mean force decides.
+        # If no coefficients explain the pattern, rely on the mean force.
         is_unexplained = (level > UNFAMILIAR) | (coefficients == 0)
-        strange = xp.where(is_sudden & is_unexplained, 1.0, 0.0)
+        is_strange = is_sudden & is_unexplained & xp.logical_not(is_mixed)
+        strange = xp.where(is_strange, 1.0, 0.0)
         covariance = covariance + strange * np.diag((index < coefficients + 8).astype(float))
-        found = self._correct(ops, covariance, rows, errors, weights(repeated, level))
+        trust = xp.where(is_mixed, MIXED_TRUST, 1.0)
+        found = self._correct(ops, covariance, rows, errors, trust * weights(repeated, level))
         covariance = (found.covariance + found.covariance.T) / 2
-        level = xp.where(has[2:].any(), (state.level + level) / 2, state.level)
+        is_judged = has[2:].any() & xp.logical_not(is_mixed)
+        level = xp.where(is_judged, (state.level + level) / 2, state.level)
         is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
         used = xp.where(is_used, self._durations() @ tracked, state.used)
+        used = xp.where(is_mixed, np.inf, used)
         return mean + found.change, covariance, used, level
 
     def _durations(self) -> Float[np.ndarray, "actions"]:
@@ -459,8 +473,8 @@ class Feedback:
         changes = xp.moveaxis(changes, 1, 2)
         ahead = seen - nominal
         mean_change = xp.tensordot(durations, changes, 1)
-        # Drift and the affine error are the same in every action of a window, so the pattern is
-        # relative to the mean.
+        # Drift and the force error are the same for all actions of a window, so subtract the mean
+        # to obtain the pattern.
         ahead = ahead - IS_FORCE * (durations @ ahead)
         changes = changes - IS_FORCE[:, None] * mean_change
         count = actions * nominal.shape[1]
@@ -506,8 +520,8 @@ class Feedback:
         """Return the update of the Kalman filter for independent measurements."""
         weighted = weights[:, None] * rows
         information = rows.T @ weighted
-        # Of the size of the state, however many measurements there are; the covariance may be
-        # singular.
+        # The size of this system is the number of states, not of measurements, and the covariance
+        # may be singular.
         after = ops.xp.linalg.solve(
             np.eye(covariance.shape[0]) + covariance @ information, covariance
         )
@@ -543,19 +557,19 @@ class Feedback:
 
 
 class _Measurements(NamedTuple):
-    """Measurements of a window: first the mean force, then the features of each action."""
+    """Measurements in a window: the mean force, followed by the features of each action."""
 
     rows: Array
     """Derivatives with respect to the state of the filter."""
     errors: Array
     """Differences from the prediction; 0 if missing."""
     has: Array
-    """Whether each is there and may be used."""
+    """Whether each measurement is available and may be used."""
     variance: Array
-    """Variance of the noise that differs from window to window."""
+    """Variance of the noise, which is independent between windows."""
     unexplained: Array
-    """Variance of what the state of the filter does not explain, which is the same in every window
-    at a reference."""
+    """Variance of the part that the filter state does not explain, which is the same in all windows
+    at the same reference."""
 
 
 class _Correction(NamedTuple):
@@ -563,15 +577,14 @@ class _Correction(NamedTuple):
     """Change of the mean."""
     covariance: Array
     innovation: Number
-    """Squared normalized innovation, chi-squared with as many degrees of freedom as
-    measurements."""
+    """Squared normalized innovation; its distribution is chi-squared with one degree of freedom per
+    measurement."""
 
 
-FORCE_ROWS = ("force_x", "force_y")
 IS_FORCE = np.isin(FEATURES, FEATURES[FORCE_FEATURES]).astype(float)
 IS_MOTOR = np.isin(FEATURES, FEATURES[MOTOR_FEATURES]).astype(float)
 AFFINE_CONSTANT = np.concatenate([np.eye(2), np.zeros((2, 4))], axis=1)
-"""Effect of the six affine parameters on the force (x, y), apart from the reference."""
+"""Effect of the six affine parameters on the force (x, y) at a reference of 0."""
 AFFINE_SLOPE = np.zeros((2, 6, 2))
-"""Effect of the six affine parameters on the force (x, y), per force of the reference (x, y)."""
+"""Effect of the six affine parameters on the force (x, y), per unit of the reference (x, y)."""
 AFFINE_SLOPE[0, 2, 0] = AFFINE_SLOPE[0, 3, 1] = AFFINE_SLOPE[1, 4, 0] = AFFINE_SLOPE[1, 5, 1] = 1.0

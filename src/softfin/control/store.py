@@ -60,8 +60,8 @@ def load_controller(path: str | Path) -> LoadedController:
 def load_feedback(
     path: Path, controller: LoadedController, config: FeedbackConfig | None
 ) -> LoadedController | Feedback:
-    """Return a controller with feedback, and with the family of its fin if the folder of the
-    controller contains one; without `config`, the controller itself."""
+    """Return the controller with feedback, which uses the family in the controller folder if there
+    is one. Without `config`, return the controller itself."""
     if config is None:
         return controller
     return Feedback(controller, config, load_family(path, controller))

@@ -100,7 +100,7 @@ class Changes(NamedTuple):
 
 
 RENAMED: Mapping[str, str] = {"trim": "feedback"}
-"""New names of options and keys, by their old names."""
+"""New names of options and keys, keyed by the old names."""
 
 
 def suggest_option(option: str, options: Sequence[str]) -> str:

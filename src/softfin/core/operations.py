@@ -37,8 +37,8 @@ class Operations:
     def branch(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Like `choose`, but the other value is not computed if the condition is the same for the
-        whole batch; for values that are expensive."""
+        """Return one of two values, like `choose`, for values that are expensive: if the condition
+        is the same for the whole batch, the other value is not computed."""
         return self.choose(condition, then, otherwise)
 
     def dot(self, vector: Array, matrix: Array) -> Array:

@@ -66,12 +66,12 @@ class TrueForcePlant(Plant, Protocol):
 
 @runtime_checkable
 class TorquePlant(Plant, Protocol):
-    """A plant that also provides the torque of its drive, which force feedback can use."""
+    """A plant that also provides the torque of its drive, which feedback can use."""
 
     def torque(self, state: State) -> Float[Array, "2"]:
-        """Return the mean torque over the last tick [N m]: on the fin about the shaft, and of the
-        motor, which also accelerates the rotor. Positive with the velocity if the drive delivers
-        power."""
+        """Return the mean torques over the last tick [N m]: on the fin about the shaft, and of the
+        motor, which also accelerates the rotor. A torque has the sign of the velocity if the drive
+        delivers power."""
 
 
 @runtime_checkable
@@ -183,7 +183,7 @@ def hold_action(
 
 
 class Hidden(NamedTuple):
-    """Quantities that a simulated plant knows besides its readings; None if it does not."""
+    """Quantities that a simulated plant provides in addition to its readings, or None."""
 
     true_force: Float[AnyArray, "rows 2"] | None
     """Mean force of the fin on its mount over each tick [N]."""
@@ -194,7 +194,7 @@ class Hidden(NamedTuple):
 def hold_action_with_hidden(
     plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
 ) -> tuple[State, tuple[Reading, Hidden]]:
-    """Hold a command like `hold_action`; also return what the plant knows besides its readings."""
+    """Hold a command like `hold_action`; also return the hidden quantities."""
     if not isinstance(plant, TrueForcePlant | TorquePlant):
         state, reading = hold_action(plant, state, command, ticks, rows)
         return state, (reading, Hidden(None, None))
@@ -231,9 +231,9 @@ def masked_mean(rows: Array, ticks: Ticks) -> Array:
 
 
 def mean_loads(torque: Array, velocity: Array, ticks: Ticks) -> tuple[Array, Array]:
-    """Return mean torque [N m] and power [W] over the valid rows of an action, of the fin and of
-    the motor; `torque` is ``(rows, 2)``."""
-    # Torques are means over a tick, but velocities are from its end.
+    """Return the mean torque [N m] and power [W] over the valid rows of an action, first on the
+    fin, then of the motor; `torque` is ``(rows, 2)``."""
+    # Torques are means over a tick, but velocities are values at its end.
     before = jnp.concatenate([velocity[:1], velocity[:-1]])
     power = torque * (before + velocity)[:, None] / 2
     shaft, motor = masked_mean(jnp.stack([torque, power], axis=1), ticks).T

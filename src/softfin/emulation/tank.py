@@ -106,7 +106,7 @@ class TankFin:
                 angle, velocity, demand, current, x, y, torque = (
                     (1 - part) * self._before + part * self._after
                 ).tolist()
-                # The tank has no load out of the plane.
+                # The tank has no out-of-plane loads.
                 wrench = (x, y, 0.0, 0.0, 0.0, torque)
                 self._latest = (now, FinMotion(angle, velocity, demand, current, wrench))
             return self._latest[1]

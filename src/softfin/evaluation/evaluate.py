@@ -81,8 +81,7 @@ class EvaluateConfig(Configuration):
     """Whether unreachable references are errors; otherwise, the nearest reachable force is
     tracked."""
     feedback: FeedbackConfig | None = None
-    """Feedback, which corrects the reference for what has become of the fin; None for no
-    feedback."""
+    """Feedback, which corrects the reference for changes of the fin; None for no feedback."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces for which the controller was
     trained; None for no random references."""
@@ -171,7 +170,7 @@ def score_controller(
     family: Family | None = None,
 ) -> Evaluation:
     """Run and score all experiments; errors are relative to the tracked reference. Feedback uses
-    the family of the fin, if there is one.
+    `family`, if it is given.
 
     Raises CoverageError if the controller was not trained for a reference or, with `config.strict`,
     if a reference is unreachable. Raises ConfigurationError if the experiments are too short for

@@ -62,7 +62,7 @@ class ExperimentRecording(NamedTuple):
     clock: ActionClock = PAPER_CLOCK
     """Clock of the controller."""
     estimate: Any = None
-    """Estimates of force feedback after each action ``(references, seeds, actions, ...)``; None
+    """Estimates of the feedback after each action ``(references, seeds, actions, ...)``; None
     without feedback."""
 
     @property
@@ -198,7 +198,7 @@ RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
 ticks."""
 
 Held: TypeAlias = tuple[State, tuple[Reading, Torque, Any]]
-"""State after an action; readings, torque and another output of each tick."""
+"""State after an action, and the readings, torques and extra output of each tick."""
 
 
 class LoopRecording(NamedTuple):
@@ -209,7 +209,7 @@ class LoopRecording(NamedTuple):
     output: Any
     """Output of `hold`."""
     estimate: Any
-    """Result of the controller's method `estimate` after each action; None without this method."""
+    """Result of `controller.estimate` after each action; None if there is no such method."""
 
 
 def closed_loop(
@@ -257,7 +257,7 @@ def closed_loop(
 
 
 def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
-    """Return the measurements of a controller over an action: the last angle, and means."""
+    """Return the measurements for a controller after an action: the last angle, and means."""
     # Readings are padded to the longest action, so use the last valid angle and average only over
     # the valid forces.
     angle = jnp.asarray(reading.angle)[ticks - 1]

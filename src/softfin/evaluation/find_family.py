@@ -1,5 +1,5 @@
 """Finds the family of a fin by simulation: samples fins around a tank, runs a controller on each of
-them, and keeps the few components in which they differ."""
+them, and keeps the main components of the differences between the fins."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -26,17 +26,17 @@ from softfin.tank.randomization import DomainRandomization, sample_tank
 from softfin.tank.tank import Tank, TankState
 
 STEADY_WINDOWS = 3
-"""Number of windows from rest, the last of which is tabulated."""
+"""Number of windows to run from rest; the last one is tabulated."""
 
 OUTSIDE_WEIGHT = 0.3
-"""Weight in the components of nodes outside the reach, which were moved to its edge, relative to
-others."""
+"""Weight of nodes outside the reach in the components, relative to other nodes. Nodes outside the
+reach are moved to its edge."""
 
 BATCH = 128
-"""Number of references that are run at once."""
+"""Number of references that are simulated in parallel."""
 
 HELD_OUT = 4
-"""One of this many fins is kept out of the components, to measure what they do not explain."""
+"""One in this many fins is held out, to measure the error that the components leave."""
 
 
 class FamilyConfig(Configuration):
@@ -47,9 +47,9 @@ class FamilyConfig(Configuration):
     coefficients: int = Field(default=6, ge=1, le=12)
     """Number of coefficients."""
     nodes: int = Field(default=9, ge=3, le=33)
-    """Number of lattice nodes along x and along y at which all fins are run."""
+    """Number of lattice nodes per axis at which all fins are simulated."""
     nominal_nodes: int = Field(default=33, ge=3, le=129)
-    """Number of lattice nodes along x and along y at which the nominal fin is run."""
+    """Number of lattice nodes per axis at which the nominal fin is simulated."""
     seed: int = Field(default=0, ge=0)
     """Seed of the sampled fins."""
     widths: DomainRandomization = DomainRandomization(
@@ -62,7 +62,7 @@ class FamilyConfig(Configuration):
         drift=0.0,
         misalignment_rad=0.03,
     )
-    """Half-widths of the distributions of the fins' parameters around those of the tank."""
+    """Half-widths of the parameter distributions, which are centred on the values of the tank."""
 
 
 class _Steady(NamedTuple):
@@ -90,16 +90,16 @@ def find_family(
     config: FamilyConfig | None = None,
     progress: Progress = silent,
 ) -> Family:
-    """Find the family of the fins around a tank under a controller.
+    """Find the family of fins around a tank for a controller.
 
-    Raises ConfigurationError if the controller does not know the reach of its fin.
+    Raises ConfigurationError if the controller does not contain the reach of its fin.
     """
     config = config or FamilyConfig()
     reachable = controller.reachable
     if reachable is None:
         raise ConfigurationError(
-            f"{controller.artifact.name}: the reach of the fin is unknown; train the controller "
-            "with a map (softfin map), or find the family of the gaits"
+            f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin "
+            "map), or train the controller with a map"
         )
     register_controllers()
     box = reachable.bounding_box()
@@ -156,8 +156,9 @@ def find_family(
 def _references_between(
     nodes: Float[np.ndarray, "nodes 2"], reachable: Reachable
 ) -> Float[np.ndarray, "nodes 2"]:
-    """Return as many references as there are nodes, evenly over the reach but not at the nodes."""
+    """Return references spread evenly over the reach, as many as nodes but not at the nodes."""
     radius = np.sqrt((np.arange(len(nodes)) + 0.5) / len(nodes))
+    # The golden angle spreads the references evenly.
     angle = 2.399963 * np.arange(len(nodes))
     ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     far = reachable.centre + 10 * float(np.max(reachable.radius)) * ways
@@ -166,8 +167,8 @@ def _references_between(
 
 
 def _roughness(table: Float[np.ndarray, "x y actions features"]) -> np.ndarray:
-    """Return an estimate of the error of linear interpolation between the nodes ``(x, y,
-    features)``: half of the mean second difference along both axes."""
+    """Estimate the error of linear interpolation between the nodes ``(x, y, features)``: half of
+    the RMS second difference along both axes."""
     bends = []
     for axis in (0, 1):
         padded = np.pad(table, [(1, 1) if axis == each else (0, 0) for each in range(4)], "edge")
@@ -187,7 +188,7 @@ def _components(
 ) -> _Components:
     """Return the changes in force and features for coefficients of variance 1.
 
-    The mean force, all features together, and each feature among them have the same weight.
+    The mean force has the same weight as all features together, and each feature has an equal part.
     """
     forces = np.stack([change.force for change in changes])
     features = np.stack([change.features for change in changes])
@@ -220,8 +221,8 @@ def _unexplained(
     held_out: Sequence[Sequence[_Steady]],
     between: Float[np.ndarray, "references 2"],
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "features"]]:
-    """Return the standard deviations of mean force and features that the tables do not explain in
-    fins that were not used to make them, at references between the nodes."""
+    """Return the standard deviations of the mean force and of the features of held-out fins, after
+    subtraction of the part that the tables explain, at references between the nodes."""
     force, features = family.interpolate(NUMPY, between, family.force, family.features)
     left = []
     for at_nodes, at_others in held_out:
@@ -233,8 +234,8 @@ def _unexplained(
                 at_others.friction,
             )
         )
-    # The mean over 95%: gaits at a few references differ so much from their neighbours that they
-    # would hide the accuracy of all others.
+    # Omit the largest 5%: at a few references, the gaits differ so much from their neighbours that
+    # these errors would dominate all others.
     forces = np.abs([each.force for each in left]).reshape(-1, 2)
     others = np.abs([each.features for each in left]).reshape(-1, features.shape[-1])
     return tuple(
@@ -249,7 +250,7 @@ def _run_references(
 ) -> _Steady:
     clock = controller.clock
     durations = clock.action_ticks(STEADY_WINDOWS * clock.window_actions)
-    # A sensor without noise and drift; its misalignment and filter belong to the fin.
+    # Remove only the random errors of the sensor: misalignment and filter are part of the fin.
     sensor = tank.sensor
     errors = (sensor.noise, sensor.drift, sensor.resolution)
     exact = eqx.tree_at(

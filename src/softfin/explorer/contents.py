@@ -37,7 +37,7 @@ HALF_PRECISION = "<f2"
 
 
 def encode_arrays(array: AnyArray, precision: str = SINGLE_PRECISION) -> JsonObject:
-    """Return an array's shape, and its values in single or half precision as base64."""
+    """Return the shape of an array, and its values in single or half precision as base64."""
     values = np.asarray(array, precision)
     return {"shape": list(values.shape), "data": base64.b64encode(values.tobytes()).decode()}
 

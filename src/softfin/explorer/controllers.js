@@ -125,23 +125,23 @@ class GridController {
 
 const CONTROLLERS = { gaits: GaitController, single: SingleController, grid: GridController };
 
-/* A controller of any kind at rest, with feedback about it on demand. */
+/* A controller of any kind, at rest, with optional feedback. */
 class Controller {
   constructor(description) {
-    // `tracked` is the reference of the last action as feedback corrected it, `added` the correction; null before.
+    // `tracked` is the corrected reference of the last action, `added` the correction; null before the first action.
     Object.assign(this, { description, limits: description.limits, cells: description.cells, feedback: null, tracked: null, added: null });
     this.step = new CONTROLLERS[description.kind](description);
     this.reachable = description.reachable === null ? null : new Reachable(description.reachable);
   }
 
-  /* Begin feedback from these measurements, or end it ("none"), before the action that has this number since the start
+  /* Start feedback from the measurements `uses`, or stop it ("none"), before an action, which is numbered from the start
    * of the clock. */
   useFeedback(uses, action) {
     this.feedback = uses === "none" ? null : new Feedback(this.description.feedback, this.cells, this.reachable, uses, action);
   }
 
-  /* The command for a reference [N], from the latest angle [rad], and the mean force [N] and torques [N m] since the
-   * last action. */
+  /* The command for a reference [N], from the latest angle [rad], and the mean force [N], torques [N m] and powers [W]
+   * since the last action. */
   act(measured, reference) {
     const { limits } = this;
     this.tracked = this.feedback === null ? reference : this.feedback.correct(measured, reference);

@@ -1,23 +1,23 @@
-/* Feedback (softfin.control.feedback): a Kalman filter estimates what has become of the fin and of its sensor, and the
- * reference is corrected for the fin only. In order, its state holds the coefficients of the family, the six affine
- * parameters of the rest of the error, what is left at the present reference (x, y), the drift (x, y), and the friction
- * and torque constant of the drive. */
+/* Feedback (softfin.control.feedback): a Kalman filter estimates the change of the fin and the drift of the sensor, and
+ * the reference is corrected for the fin only. The state of the filter contains, in this order, the coefficients of the
+ * family, the six parameters of the affine error, the local error at the current reference (x, y), the drift (x, y), and
+ * the friction and the error of the torque constant of the drive. */
 
-/* Features of an action: force (x, y), angle, and torque and power, first of the fin, then of the motor. */
+/* Features of an action: force (x, y), angle, and torque and power, first on the fin, then of the motor. */
 const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6, PLACE = 2;
-const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, UNFAMILIAR = 6, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
+const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, MIXED_TRUST = 0.01, UNFAMILIAR = 6, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
 const WHITE_NOISE = [0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01];
-/* Whether feedback may use a feature. */
+/* Whether feedback may use a feature, for each setting. */
 const USABLE = { force: (feature) => feature < LOADS, torque: (feature) => feature > FORCES[1], both: () => true };
 
-/* How the fins that a fin may become differ from it (softfin.control.family). */
+/* The ways in which a fin may change (softfin.control.family). */
 class Family {
   constructor(tables) {
     for (const [name, table] of Object.entries(tables)) this[name] = decoded(table);
     this.coefficients = this.force.shape[2];
   }
 
-  /* A table at a reference, linear in x and y; of one action where it has actions. */
+  /* A table interpolated at a reference, linearly in x and y; for one action if the table has an action axis. */
   at(table, reference, action = null) {
     const [[i, x], [j, y]] = [0, 1].map((axis) => {
       const last = table.shape[axis] - 1, low = this.low.values[axis], width = this.high.values[axis] - low;
@@ -38,7 +38,7 @@ class Family {
 const shareOf = (action) => ACTION_TICKS[action % ACTION_TICKS.length] / WINDOW;
 
 class Feedback {
-  /* `begun` is the number of its first action since the start of the controller's clock. */
+  /* `begun` is the number of the first action with feedback, counted from the start of the controller's clock. */
   constructor({ config, family }, cells, reachable, uses, begun) {
     Object.assign(this, { config, reachable, uses, begun, age: begun, level: 1, used: null });
     this.family = family === null ? null : new Family(family);
@@ -57,7 +57,7 @@ class Feedback {
     this.references = this.tracked;
   }
 
-  /* The reference for the controller inside, from what was measured since the last action. */
+  /* The reference for the inner controller, from the measurements since the last action. */
   correct({ force, angle, shaft = [NaN, NaN], motor = [NaN, NaN] }, reference) {
     this.seen = [...this.seen.slice(1), [...force, angle, ...shaft, ...motor]];
     if (this.age % WINDOW_ACTIONS === 0 && this.age > this.begun) this.update();
@@ -72,7 +72,8 @@ class Feedback {
     return tracked;
   }
 
-  /* The true mean force at the corrected reference, the half-width of its 90% interval, and what the family explains. */
+  /* The estimated true mean force at the corrected reference, the half-width of its 90% interval, and the level of the
+   * unexplained pattern. */
   estimate() {
     const tracked = this.tracked.at(-1), near = this.near(tracked), rows = this.biasRows(tracked, near);
     const half = rows.map((row, axis) => {
@@ -88,12 +89,12 @@ class Feedback {
     return [[bias, 0, slope * x, slope * y, 0, 0], [0, bias, 0, 0, slope * x, slope * y]];
   }
 
-  /* Correlation of the force errors at a reference and at that of the last window. */
+  /* Correlation of the local force error at a reference with that of the last used window. */
   near(reference) {
     return this.used === null ? 0 : Math.exp(-distanceTo(reference, this.used) / (NEAR * this.config.reach_n));
   }
 
-  /* Derivatives of the force error (x, y) [N] by the state. */
+  /* Derivatives of the force error (x, y) [N] with respect to the state. */
   biasRows(reference, near) {
     const force = this.family === null ? [] : this.family.at(this.family.force, reference), affine = this.affine(reference);
     return FORCES.map((axis) => {
@@ -108,12 +109,11 @@ class Feedback {
     return this.biasRows(reference, this.near(reference)).map((row) => clip(dot(row, this.mean), -limit_n, limit_n));
   }
 
-  /* One step of the Kalman filter, with the window that has just ended. */
+  /* Update the Kalman filter with the window that has just ended. */
   update() {
     const { config, size, coefficients } = this, seconds = WINDOW * TICK_S, centre = this.centre(), moved = this.moved();
     const kept = new Float64Array(size).fill(1), added = new Float64Array(size), near = this.near(centre);
     const keptDrift = Math.exp(-seconds / (2 * config.drift_s));
-    // Without a family, a changing fin can only show in the constant error.
     added.fill(seconds / config.change_s, 0, coefficients);
     for (const i of this.drifts) [kept[i], added[i]] = [keptDrift, 1 - keptDrift ** 2];
     for (const i of this.places) [kept[i], added[i]] = [near, 1 - near ** 2];
@@ -121,12 +121,14 @@ class Feedback {
     let covariance = this.covariance.map((row, i) => row.map((value, j) => value * kept[i] * kept[j] + (i === j ? added[i] : 0)));
     const { rows, errors, has, variance, unexplained } = this.measurements(mean, moved), patterns = (values) => values.slice(FORCES.length);
     const sum = (values) => values.reduce((total, value) => total + Number(value), 0), count = Math.max(sum(has), 1), counted = sum(patterns(has));
-    // What the state does not explain at a reference is the same in every window there.
+    // The part that the state does not explain is the same in all windows at the same reference.
     const distance = this.used === null ? Infinity : distanceTo(centre, this.used) / config.reach_n;
     let repeated = REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
     const weights = (times, level) => has.map((valid, i) => Number(valid) / ((variance[i] + times * unexplained[i]) * (i < FORCES.length ? 1 : level)));
     const opened = (last) => covariance.map((row, i) => row.map((value, j) => value + Number(i === j && i < last)));
     const sudden = corrected(covariance, rows, errors, weights(repeated, this.level)).innovation > count + SUDDEN * Math.sqrt(2 * count);
+    // A window in which the fin changed is partly that of the old fin, so the next one decides.
+    const mixed = sudden && this.used !== null;
     if (sudden) {
       repeated = 1;
       covariance = opened(coefficients);
@@ -134,13 +136,15 @@ class Feedback {
     const { change } = corrected(covariance, rows, errors, weights(repeated, 1)), plain = weights(1, 1);
     const squares = errors.map((error, i) => plain[i] * (error - dot(rows[i], change)) ** 2);
     const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1);
-    // Where no coefficients explain the pattern, the mean force decides.
-    if (sudden && (level > UNFAMILIAR || coefficients === 0)) covariance = opened(coefficients + AFFINE + PLACE);
-    const found = corrected(covariance, rows, errors, weights(repeated, level));
+    // If no coefficients explain the pattern, rely on the mean force.
+    if (sudden && !mixed && (level > UNFAMILIAR || coefficients === 0)) covariance = opened(coefficients + AFFINE + PLACE);
+    const trust = mixed ? MIXED_TRUST : 1, trusted = weights(repeated, level).map((weight) => trust * weight);
+    const found = corrected(covariance, rows, errors, trusted);
     this.mean = mean.map((value, i) => value + found.change[i]);
     this.covariance = found.covariance.map((row, i) => row.map((value, j) => (value + found.covariance[j][i]) / 2));
-    if (counted > 0) this.level = (this.level + level) / 2;
-    if (sum(has) > 0 && moved < NEW_REFERENCE * config.reach_n) this.used = centre;
+    if (counted > 0 && !mixed) this.level = (this.level + level) / 2;
+    if (mixed) this.used = null;
+    else if (sum(has) > 0 && moved < NEW_REFERENCE * config.reach_n) this.used = centre;
   }
 
   /* Mean of the corrected references over the last window. */
@@ -154,12 +158,12 @@ class Feedback {
     return Math.max(...steps(this.references), ...steps(this.tracked.slice(1)));
   }
 
-  /* Measurements of the last window: derivatives by the state, differences from the prediction, whether each is there
-   * and may be used, and its variance: that which differs from window to window, and that which the state does not explain. */
+  /* Measurements in the last window: derivatives with respect to the state, differences from the prediction, whether each
+   * is available and may be used, variance of the noise, and variance of the part that the state does not explain. */
   measurements(mean, moved) {
     const { config, size, coefficients, family, seen } = this, tracked = this.tracked.slice(1);
     const centre = this.centre(), affine = this.affine(centre), found = { rows: [], errors: [], has: [], variance: [], unexplained: [] };
-    // The start of the fin is not like any other window.
+    // Skip the first window, in which the fin starts from rest.
     const counts = this.age >= 2 * WINDOW_ACTIONS && this.age - this.begun >= WINDOW_ACTIONS;
     const add = (feature, row, error, variance, unexplained) => {
       const has = Number.isFinite(error) && USABLE[this.uses](feature);
@@ -169,7 +173,7 @@ class Feedback {
     const lookUp = (name, force, k) => (family === null ? null : family.at(family[name], force, k));
     const nominal = tracked.map((force, k) => lookUp("nominal", force, k)), rough = tracked.map((force) => lookUp("nominal_noise", force));
     const friction = tracked.map((force, k) => lookUp("friction", force, k)), tables = tracked.map((force, k) => lookUp("features", force, k));
-    // Change of a feature of an action by a coefficient.
+    // Change in a feature of an action per unit of a coefficient.
     const change = (k, coefficient, feature) => tables[k][coefficient * FEATURES + feature];
     const over = (value) => tracked.reduce((sum, _, k) => sum + shareOf(k) * value(k), 0);
     for (const axis of FORCES) {
@@ -185,7 +189,7 @@ class Feedback {
     for (let k = 0; k < tracked.length; k++) {
       for (let feature = 0; feature < FEATURES; feature++) {
         const row = new Float64Array(size), relative = feature < 2;
-        // Drift and the affine error are the same in every action of a window, so the pattern of the forces is relative to their mean.
+        // Drift and the force error are the same for all actions of a window, so subtract the mean force to obtain the pattern.
         for (let c = 0; c < coefficients; c++) row[c] = change(k, c, feature) - (relative ? over((m) => change(m, c, feature)) : 0);
         const ahead = (m) => seen[m][feature] - nominal[m][feature], error = ahead(k) - (relative ? over(ahead) : 0);
         if (feature >= MOTOR) {
@@ -199,7 +203,8 @@ class Feedback {
     return found;
   }
 
-  /* The corrected reference within reach and within the cells: between cells it ends at the edge of the reference's own. */
+  /* Move the corrected reference into the reachable forces and the cells. Between cells, it stops at the edge of the cell
+   * of the original reference. */
   trackable(reference, corrected) {
     if (this.reachable !== null) corrected = this.reachable.project(corrected);
     if (this.cells.some((cell) => distanceTo(withinCell(cell, corrected), corrected) === 0)) return corrected;
@@ -207,7 +212,7 @@ class Feedback {
   }
 }
 
-/* The update of a Kalman filter by independent measurements: change of the mean, covariance, and squared innovation. */
+/* Update of the Kalman filter for independent measurements: change of the mean, covariance, and squared innovation. */
 function corrected(covariance, rows, errors, weights) {
   const size = covariance.length, information = covariance.map(() => new Float64Array(size)), pull = new Float64Array(size);
   let square = 0;

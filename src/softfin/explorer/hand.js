@@ -6,7 +6,7 @@ class Hand {
     Object.assign(this, description.first);
   }
 
-  /* A hand has no target that feedback could correct. */
+  /* Motion by hand has no target that feedback could correct. */
   useFeedback() {}
 
   act() {

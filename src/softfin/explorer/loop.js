@@ -1,7 +1,7 @@
 /* The closed loop: a controller acts on a plant on its own clock; what is measured is kept for a while. */
 
 const KEPT = 1000;
-/* Means over an action that has just begun. */
+/* Means at the start of an action. */
 const NOTHING = { force: [0, 0], shaft: [0, 0], motor: [0, 0] };
 
 /* The last `length` pairs, and the sums by which means and the Sobolev term of a window are computed. */
@@ -75,7 +75,7 @@ class Loop {
     this.left--;
     this.time++;
     const reading = this.readings[this.plant], force = reading.force;
-    // Only a tank has torques, which are means over a tick, so their power is that at the mean velocity. Within an action, as in Python.
+    // Only a tank has torques. They are means over a tick, so their power uses the mean velocity, within an action as in Python.
     const { torque = NaN, motorTorque = NaN } = reading, ticks = ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length];
     const velocity = (reading.velocity + (this.left === ticks - 1 ? reading.velocity : this.velocity)) / 2;
     this.velocity = reading.velocity;

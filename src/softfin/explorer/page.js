@@ -20,7 +20,7 @@ const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", feedback: "both", paused: still, ...NEW_FIN, ...hand.first };
 const choicesOf = (name) => [...element(name).options].map((option) => option.value);
 const byHand = () => controllers[chosen.controller] === hand;
-/* Limits of the sliders of the hand, which move in hundredths; those of the angle are rounded, so that it can be 0. */
+/* Limits of the sliders for motion by hand, which move in hundredths; the angle limits are rounded, so that 0 is allowed. */
 const HAND_SLIDERS = {
   angle: [Math.ceil(100 * hand.limits.angle_min_rad) / 100, Math.floor(100 * hand.limits.angle_max_rad) / 100],
   stroke: [0, (hand.limits.angle_max_rad - hand.limits.angle_min_rad) / 2],
@@ -37,7 +37,7 @@ function watch(what) {
   watched = { what, since: loop.time, within: null, sum: [0, 0], count: 0 };
 }
 
-/* Torque says nothing without a family of fins. */
+/* Feedback from torque requires a family of fins. */
 const feedbackUses = () => (chosen.feedback === "torque" && controllers[chosen.controller].feedback.family === null ? "none" : chosen.feedback);
 
 const newController = () => (byHand() ? new Hand(hand) : new Controller(controllers[chosen.controller]));
@@ -169,15 +169,15 @@ function prediction() {
   return { mean, half, familiar: distances.filter((distance) => distance <= 1).length / distances.length };
 }
 
-/* What feedback does, or why it can do nothing. */
+/* The correction by feedback, or the reason why there is none. */
 function feedbackText() {
   const { feedback, added, description } = loop.controller, torque = loop.readings[loop.plant]?.torque;
   if (byHand() || chosen.feedback === "none" || added === null) return "";
-  if (chosen.feedback === "torque" && description.feedback.family === null) return "Feedback from torque needs a family of fins.";
-  if (chosen.feedback === "torque" && torque === undefined) return "No torque is measured in a surrogate.";
+  if (chosen.feedback === "torque" && description.feedback.family === null) return "Feedback from torque requires a family of fins (softfin family).";
+  if (chosen.feedback === "torque" && torque === undefined) return "A surrogate does not predict the torque.";
   const adds = `Feedback adds ${forceText(added)}`;
   if (description.feedback.family === null) return `${adds}.`;
-  return `${adds}; ${feedback.level > UNFAMILIAR ? "the fin is not of the family: only the mean force counts" : "the fin is of the family"}.`;
+  return `${adds}; ${feedback.level > UNFAMILIAR ? "the fin is outside the family, so feedback relies on the mean force" : "the fin is within the family"}.`;
 }
 
 function tell(predicted) {

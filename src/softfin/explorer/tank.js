@@ -152,7 +152,7 @@ class Drive {
     return limited === torque ? free : (this.rotor * this.rate + limited + load) / (this.rotor + drag);
   }
 
-  /* End a step in which the motor turned at that mean rate; returns the motor's mean torque [N m]. */
+  /* End a step in which the motor turned at this mean rate; returns the mean torque of the motor [N m]. */
   follow(mean, seconds) {
     this.angle += seconds * mean;
     this.rate = 2 * mean - this.rate;
@@ -258,7 +258,7 @@ class Water {
     Object.assign(this, parameters);
   }
 
-  /* Drag at the two points of each plate, for the strokes lately, times a factor. */
+  /* Drag at the two points of each plate, for the recent strokes, times a factor. */
   drags(flow, factor) {
     return this.drag.map((row) => row.map((value, i) => {
       const number = Math.sqrt((8 * Math.PI ** 2 * flow.square[i]) / this.span[i] ** 2 + LEAST_STROKE ** 2) / REFERENCE_STROKE;
@@ -293,7 +293,7 @@ class Water {
   }
 }
 
-/* A tank with its fin at rest. Its factors of stiffness and drag may change at any time. */
+/* A tank with its fin at rest. The factors of stiffness and drag may change at any time. */
 class Tank {
   constructor(description) {
     this.description = description;
@@ -316,7 +316,7 @@ class Tank {
   }
 
   /* Hold a command for a tick; returns {angle, velocity, force, torque, motorTorque}, with the torque on the fin about the shaft
-   * and that of the motor, positive with the velocity where the drive delivers power. */
+   * and the torque of the motor. A torque has the sign of the velocity if the drive delivers power. */
   tick(command) {
     const steps = this.description.steps_per_tick, seconds = TICK_S / steps, { drive, fin, water, flow, filtered } = this;
     const drags = water.drags(flow, this.drag), stream = flow.stream, shaftRate = drive.rate;
@@ -335,7 +335,7 @@ class Tank {
     });
     const [x, y] = this.filtered, cos = Math.cos(misalignment), sin = Math.sin(misalignment), most = range > 0 ? range : Infinity;
     water.stir(flow, fin.relative(stream), loads);
-    // What accelerates the rotor does not reach the fin.
+    // The part of the torque that accelerates the rotor does not reach the fin.
     const torque = motorTorque - (drive.inertia * (drive.rate - shaftRate)) / TICK_S;
     return { ...drive.read(), torque, motorTorque, force: [clip(cos * x + sin * y, -most, most), clip(cos * y - sin * x, -most, most)] };
   }

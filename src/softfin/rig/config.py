@@ -27,8 +27,8 @@ class RealFinConfig(Configuration):
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
     feedback: FeedbackConfig = FeedbackConfig()
-    """Settings of feedback on this fin, such as the drift of its sensor; feedback itself is an
-    option of the commands."""
+    """Settings of feedback on this fin, such as the drift of its sensor. The option --feedback of
+    the commands enables feedback."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
     """Rest time before each log or experiment, during which the water calms down [s]."""
 

@@ -112,8 +112,8 @@ class DriveConfig(DeviceConfig):
     """-1 if the positive direction of the drive corresponds to negative fin angles."""
     torque_constant_nm_a: PositiveFloat | None = None
     """Torque at the output shaft per ampere of motor current [N m/A], including the gear ratio and
-    the efficiency of the gear; None if unknown. Without a torque sensor, the torque feedback needs
-    it."""
+    the efficiency of the gear; None if unknown. Feedback from torque requires it if there is no
+    torque sensor."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True

@@ -36,7 +36,7 @@ class ActionResult:
     target: Target
     samples: list[Sample]
     estimate: Estimate | None = None
-    """Result of feedback; None without feedback."""
+    """Estimate of the feedback after this action; None without feedback."""
 
 
 def run_controller(

@@ -33,7 +33,7 @@ class RobotSetup:
             check()
 
     def feedback_settings(self, asked: FeedbackConfig | None) -> FeedbackConfig | None:
-        """Return the settings of this fin with those that were asked for; None for no feedback."""
+        """Return the settings of this fin, overridden by the given ones; None for no feedback."""
         if asked is None:
             return None
         return self.feedback.merged(asked.model_dump(exclude_defaults=True), "feedback")

@@ -1,8 +1,9 @@
 """The mean torques about the shaft and their power during each action of a controller. No I/O.
 
-The torque on the fin is the torque of the force sensor minus its value at rest. The torque of the
-motor is its current times `drive.torque_constant_nm_a`; it also accelerates the rotor, which the
-sensor does not see because it is under the motor. Both are positive towards positive angles.
+The torque on the fin is the reading of the force/torque sensor minus its value at rest. The torque
+of the motor is the motor current times `drive.torque_constant_nm_a`. It includes the torque that
+accelerates the rotor, which the sensor under the motor does not measure. Both torques are positive
+towards positive angles.
 """
 
 import math
@@ -17,23 +18,23 @@ from softfin.rig.machine import Sample
 from softfin.rig.session import MeasuredForce, Session, Warn
 
 STROKE_RAD = 0.1
-"""Motion of the shaft within an action during which a torque must change [rad]."""
+"""Shaft motion within an action above which a constant torque reading is rejected [rad]."""
 
 JUDGED_S = 60.0
-"""Time in motion after which the mean power of a torque must be positive [s], because a fin takes
-up power."""
+"""Time in motion after which the mean power of a torque must be positive [s], because the fin
+absorbs power."""
 
 _Series: TypeAlias = Float[np.ndarray, " samples"]
 
 Drive: TypeAlias = tuple[float, float]
-"""Mean torque [N m] and mean power [W]; positive if the drive delivers power."""
+"""Mean torque [N m] and mean power [W]; the power is positive if the drive delivers power."""
 
 
 class ShaftTorque:
     """Torques during the actions of one session.
 
-    `warn` is called once if a torque has the wrong sign, and with `is_needed` also if the motor
-    current is not used because the torque constant is unknown.
+    `warn` is called once per torque with the wrong sign. With `is_needed`, it is also called once
+    if the motor current is measured but cannot be used because the torque constant is unknown.
     """
 
     def __init__(self, session: Session, warn: Warn, is_needed: bool = False) -> None:
@@ -44,13 +45,13 @@ class ShaftTorque:
         """Effect of the delay on the mean force of the last actions [N]."""
         self._sensed = _Torque(
             "the torque of the force sensor",
-            "correct drive.direction or sensor.frame, or the sign of sensor.scale.torque_z of a "
-            "sensor that sends lines",
+            "correct drive.direction or sensor.frame, or, for a sensor that sends lines, the sign "
+            "of sensor.scale.torque_z",
             warn,
         )
         self._motor = _Torque(
             "the motor current",
-            "correct the driver so that the current is positive when the motor pushes the fin "
+            "correct the driver so that the current is positive when the motor drives the fin "
             "towards positive angles",
             warn,
         )
@@ -67,9 +68,9 @@ class ShaftTorque:
         return x, y
 
     def means(self, samples: Sequence[Sample]) -> tuple[Drive | None, Drive | None]:
-        """Return torque and power on the fin and of the motor over the samples of an action; None
-        if the torque is not measured, not finite, constant while the shaft moves, or has the wrong
-        sign."""
+        """Return the mean torque and power over the samples of an action, first on the fin, then of
+        the motor. None if the torque is not measured, is not finite, is constant while the shaft
+        moves, or has the wrong sign."""
         rows = [
             (each.time, each.angle, each.velocity, each.force_time, each.wrench[-1], each.current)
             for each in samples
@@ -103,23 +104,23 @@ class ShaftTorque:
         if self._is_needed and np.isfinite(current).any():
             self._is_needed = False
             self._warn(
-                "the motor current: not used for feedback because its torque constant is unknown; "
+                "the motor current: not used for feedback, because the torque constant is unknown; "
                 "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"
             )
         return math.nan
 
 
 def on_time(time: _Series, force_time: _Series, values: _Series) -> _Series:
-    """Return values of the sensor at the times of the samples.
+    """Interpolate sensor values at the times of the samples.
 
-    The filters of the sensor delay them. The newest value stands for the time since then, because
-    the fin responds to the next command even later.
+    The filters of the sensor delay its values, so none are available for the last samples. These
+    samples use the newest value, because the fin takes even longer to respond to a command.
     """
     return np.asarray(np.interp(time, force_time, values))
 
 
 class _Torque:
-    """One of the torques, until its sign is found to be wrong."""
+    """One of the torques; not used any more once its sign is found to be wrong."""
 
     def __init__(self, name: str, sign_fix: str, warn: Warn) -> None:
         self._name = name
@@ -142,7 +143,7 @@ class _Torque:
         return None if self._is_reversed else (float(torque.mean()), float(power_w.mean()))
 
     def _check_sign(self, power_w: _Series) -> None:
-        """Check the sign of the torque."""
+        """Warn and disable the torque if its mean power over a long motion is negative."""
         self._ticks += len(power_w)
         self._power_w += power_w.sum()
         mean_w = self._power_w / self._ticks

@@ -141,20 +141,20 @@ def family(
     config: Config = None,
     progress: Annotated[Progress, HIDDEN] = silent,
 ) -> Result:
-    """Find the family of a fin: what stiffness, drag, the servo and others that change do to the
-    forces of a controller, and to everything that can be measured.
+    """Find the family of a fin: how changes in stiffness, drag, servo and other parameters affect
+    the mean forces of a controller and the measurements.
 
-    Feedback uses it to know from the torque and the force within seconds what has become of the
-    fin. It is written into the folder of the controller.
+    Feedback uses the family to estimate within seconds, from force and torque, how the fin has
+    changed. The family is written into the folder of the controller.
 
     Args:
         controller: Controller folder.
-        plant: The fin: tank, or a tank YAML file such as the one that softfin calibrate writes.
+        plant: tank, or a tank YAML file, such as the output of softfin calibrate.
         config: `FamilyConfig`; its fields are options too, such as --fins 100.
         progress: Function that is called with the progress.
 
     Returns:
-        The changes of the mean force that the family spans, and what it does not explain.
+        The RMS change in the mean force that the family explains, and the unexplained part [N].
 
     Example:
         >>> softfin.family("gaits", plant="calibration/tank.yaml")
@@ -176,8 +176,8 @@ def family(
     fin = find_plant(plant)
     if not isinstance(fin, Tank):
         raise ConfigurationError(
-            f"--plant {plant}: must be tank or a tank YAML file, because only the parameters of a "
-            "tank can be changed; run softfin calibrate to fit a tank to your logs"
+            f"--plant {plant}: must be tank or a tank YAML file, because softfin can vary only the "
+            "parameters of a tank; run softfin calibrate to fit a tank to your logs"
         )
     found = find_family(loaded, fin, settings, progress)
     keys = {
@@ -196,7 +196,7 @@ def family(
     }
     text = (
         f"{values['family']}: {settings.fins} fins; their mean forces differ by {spanned_n:.2g} N "
-        f"(rms), of which {settings.coefficients} coefficients leave {unexplained_n:.1g} N\n"
+        f"(rms), and {settings.coefficients} coefficients explain all but {unexplained_n:.1g} N\n"
         f"next: softfin evaluate {path} --plant {plant_name(plant)} --feedback"
     )
     return Result(values, text)

@@ -53,8 +53,7 @@ class RunConfig(Configuration):
     """Configuration of a run."""
 
     feedback: FeedbackConfig | None = None
-    """Feedback, which corrects the reference for what has become of the fin; None for no
-    feedback."""
+    """Feedback, which corrects the reference for changes of the fin; None for no feedback."""
 
 
 class Drive(NamedTuple):
@@ -62,7 +61,7 @@ class Drive(NamedTuple):
 
     controller: LoadedController
     acting: LoadedController | Feedback
-    """The controller, with feedback if it was asked for."""
+    """The controller, with feedback if it is enabled."""
     robot: RobotSetup
     arming: Arming
     seconds: int | None
@@ -203,20 +202,20 @@ class Drive(NamedTuple):
 
 
 UNFAMILIAR_NOTE = (
-    "feedback: the fin does not move as any fin of its family; check for damage, weed, a blocked "
-    "shaft and a loose sensor"
+    "feedback: the fin does not behave like any fin in its family, so feedback relies on the mean "
+    "force; check for damage, weed, a blocked shaft or a loose sensor"
 )
 
 
 def _described_estimate(estimate: Estimate, decimals: int) -> str:
-    """Return the true mean force that feedback expects, with its 90% interval."""
+    """Describe the true mean force estimated by feedback, with its 90% interval."""
     parts = zip(estimate.force, estimate.half_width, strict=True)
     force = ", ".join(f"{mean:+.{decimals}f} +- {half:.{decimals}f}" for mean, half in parts)
     return f"true ({force}) N"
 
 
 def _estimate_summary(estimate: Estimate) -> JsonObject:
-    """Return the entries of the summary about what feedback has found."""
+    """Return the summary entries for an estimate of the feedback."""
     return {
         "true_force_n": [round(float(force), 4) for force in estimate.force],
         "half_width_n": [round(float(half), 4) for half in estimate.half_width],
@@ -274,7 +273,7 @@ def run(
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        feedback: Add feedback from force and torque, which corrects the steady-state error.
+        feedback: Add feedback from force and torque, which corrects for changes of the fin.
         config: `RunConfig`; its fields are options too, such as --feedback.uses force.
         arm: Allow the real fin to move, after you confirm on the terminal.
         yes: With --arm, skip the confirmation. For scripts; make sure that no one can touch the
@@ -344,7 +343,7 @@ def ros2(
         seconds: Duration [s] (default: until you stop it).
         bag: Recording to write, a ROS 2 bag (default: run-DATE.mcap).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        feedback: Add feedback from force and torque, which corrects the steady-state error.
+        feedback: Add feedback from force and torque, which corrects for changes of the fin.
         config: `NodeConfig`; its fields are options too.
         connection: How to reach other nodes.
         arm: Allow the real fin to move, after you confirm on the terminal.

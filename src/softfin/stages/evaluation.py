@@ -66,7 +66,7 @@ def evaluate(
         repeats: Repetitions of each experiment (default: 5).
         seed: Seed for the plant noise (default: 0).
         strict: Reject unreachable references instead of tracking the nearest reachable one.
-        feedback: Add feedback from force and torque, which corrects the steady-state error.
+        feedback: Add feedback from force and torque, which corrects for changes of the fin.
         randomize: Perturb the parameters of the tank in each repetition, by up to this fraction.
         random: Also evaluate this many random references within the reachable part of the training
             range.

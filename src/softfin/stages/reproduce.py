@@ -362,7 +362,7 @@ def _list_evaluations(
         parts.append(("evaluation-in-surrogate", surrogate, asked, False))
     for folder, place, config, feedback in parts:
         where = {surrogate: "the surrogate", TANK: "the virtual tank"}.get(place, place)
-        ending = ", with force feedback (--feedback)" if feedback else ""
+        ending = ", with feedback (--feedback)" if feedback else ""
         for kind, paths in controllers.items():
             result = out / folder / kind
             # Policies differ in their training seeds, whereas evaluations of gaits differ in the

@@ -63,7 +63,7 @@ def fit(
         dataset: Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags.
         out: Surrogate folder to write.
         model: streaming (an ensemble), paper (PosNet and ForceNet) or package.module:NAME.
-        start: Streaming surrogate to refit to new logs of its fin, which has changed since.
+        start: Streaming surrogate to refit to new logs of its fin, after the fin has changed.
         recordings: How to read recordings from other programs.
         seed: Seed for weights, shuffling and dropout.
         config: Configuration of the model; its fields are options too, such as --members 3.
@@ -157,7 +157,7 @@ def _load_refit(path: Path, model: str) -> "Refit":
     if not isinstance(start, StreamingSurrogate) or start.model != model:
         raise ConfigurationError(
             f"--start {path}: a {start.model} surrogate cannot be refitted with --model {model}; "
-            "both must be streaming, or fit without --start"
+            "use streaming for both, or fit without --start"
         )
     description = artifacts.load_description(path, "surrogate")
     entries = {name: description[name] for name in ("stroke_s", "fin") if description.get(name)}
@@ -230,7 +230,7 @@ def issue_line(counts: Mapping[str, int], dataset: Path) -> str:
 
 
 def _predict_test(surrogate: "SurrogatePlant", log: "Log") -> "Figure":
-    """Draw a segment of a test log and the predictions of the force by the surrogate."""
+    """Draw the force in a segment of a test log and the predictions of the surrogate."""
     import numpy as np
 
     from softfin.core.quantities import RATE_HZ

@@ -29,7 +29,7 @@ DEAD_TICKS = 20
 
 TORQUE_CONSTANT_NM_A = 111 * 0.0259
 """Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a
-torque constant of 25.9 mN m/A of the motor."""
+motor with a torque constant of 25.9 mN m/A."""
 
 AMPERE_PER_NM = 1 / TORQUE_CONSTANT_NM_A
 """Motor current divided by torque at the fin [A/(N m)]."""

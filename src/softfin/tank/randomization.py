@@ -175,8 +175,8 @@ class RandomizedTank(eqx.Module):
         return tank.true_force(inner)
 
     def torque(self, state: RandomizedTankState) -> Float[Array, "2"]:
-        """Return the mean torque over the last tick on the fin about the shaft, and of the motor
-        [N m]."""
+        """Return the mean torques over the last tick [N m]: on the fin about the shaft, and of the
+        motor."""
         tank, inner = state
         return tank.torque(inner)
 

@@ -55,8 +55,9 @@ class TankState(NamedTuple):
     force: PlanarVector
     """True mean force (x, y) on the mount over the last tick [N]."""
     torque: Float[Array, "2"]
-    """Mean torque over the last tick [N m]: on the fin about the shaft, and of the motor, which
-    also accelerates the rotor. Positive with the velocity if the drive delivers power."""
+    """Mean torques over the last tick [N m]: on the fin about the shaft, and of the motor, which
+    also accelerates the rotor. A torque has the sign of the velocity if the drive delivers
+    power."""
     key: PRNGKeyArray
     """Key for the sensor noise."""
 
@@ -145,8 +146,8 @@ class Tank(eqx.Module):
         return state.force
 
     def torque(self, state: TankState) -> Float[Array, "2"]:
-        """Return the mean torque over the last tick on the fin about the shaft, and of the motor
-        [N m]."""
+        """Return the mean torques over the last tick [N m]: on the fin about the shaft, and of the
+        motor."""
         return state.torque
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
@@ -202,8 +203,8 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The motor also accelerates the rotor, whose torque does not reach the fin. The mount
-        # carries the reaction.
+        # The part of the motor torque that accelerates the rotor does not reach the fin. The mount
+        # carries the reaction of the torque on the fin.
         motor_torque = torques.mean()
         torque = motor_torque - self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S
         both = jnp.stack([torque, motor_torque])

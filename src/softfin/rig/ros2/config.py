@@ -90,8 +90,7 @@ class NodeConfig(Configuration):
     paper's, in proportion to the size of other fins, and at least the range of the controller."""
 
     feedback: FeedbackConfig | None = None
-    """Feedback, which corrects the reference for what has become of the fin; None for no
-    feedback."""
+    """Feedback, which corrects the reference for changes of the fin; None for no feedback."""
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """Connection to other nodes."""
 

@@ -1,8 +1,9 @@
 """Refits a streaming surrogate to a few minutes of new logs of its fin, after the fin has changed:
-the silicone ages, the water is colder, or the servo is new.
+the silicone has aged, the water is colder, or the servo is new.
 
-Networks, scales and limits stay the same, and the members are trained from their weights. The
-result is the surrogate before or after the refit, whichever predicts the held-out logs better.
+The network architecture, scales and limits stay the same, and training starts from the weights of
+the members. The result is the surrogate before or after the refit, whichever predicts the held-out
+logs better.
 """
 
 from collections.abc import Sequence
@@ -28,15 +29,15 @@ REFIT = {"drive_updates": 100, "force_updates": 300, "held_out": 0.3}
 
 LIMIT_TOLERANCE = 0.03
 """Distance by which new commands may exceed the limits of a surrogate [rad, rad/s]. Random commands
-never quite reach the end of a range."""
+do not quite reach the ends of their range, so the limits differ slightly between recordings."""
 
 MAX_FORCE_RATIO = 4
-"""Ratio of forces at the same speed above which the size of the fin differs; the force is
+"""Ratio of forces at the same speed above which the fins must differ in size [-]. The force is
 proportional to the fourth power of the length."""
 
 
 class Refit(NamedTuple):
-    """Refit of a streaming surrogate; takes the place of an `Architecture`."""
+    """Refit of a streaming surrogate; replaces an `Architecture` in `fit`."""
 
     name: str
     """Path of the surrogate."""
@@ -62,7 +63,7 @@ class Refit(NamedTuple):
         better, with an interval calibrated on these logs.
 
         Raises:
-            ConfigurationError: If the configuration changes the networks.
+            ConfigurationError: If the configuration changes the network architecture.
             LogError: If commands in the logs are outside the limits of the surrogate, or if the
                 forces are those of a fin of a different size.
         """
@@ -71,17 +72,17 @@ class Refit(NamedTuple):
         own = self.config()
         if (config.drive, config.force, config.members) != (own.drive, own.force, own.members):
             raise ConfigurationError(
-                f"--start {self.name}: a refit keeps the networks; remove the options --drive, "
-                "--force and --members, or fit without --start"
+                f"--start {self.name}: a refit cannot change the network architecture; remove the "
+                "options --drive, --force and --members, or fit without --start"
             )
         limits = command_limits(logs)
-        # A minimum exceeds a limit downwards.
+        # The first and third limits are minima, which are exceeded by smaller values.
         excess = np.subtract(limits, start.limits) * (-1, 1, -1, 1)
         worst = int(excess.argmax())
         if excess[worst] > LIMIT_TOLERANCE:
             raise LogError(
-                f"--start {self.name}: the commands in the new logs exceed its limits "
-                f"({LIMIT_KEYS[worst]} is {limits[worst]:.3g} instead of "
+                f"--start {self.name}: the commands in the new logs exceed the limits of the "
+                f"surrogate ({LIMIT_KEYS[worst]} is {limits[worst]:.3g}, limit "
                 f"{start.limits[worst]:.3g}); record commands within the limits, or fit without "
                 "--start"
             )
@@ -91,12 +92,12 @@ class Refit(NamedTuple):
         ratio = now.force_n / before.force_n / rate**2
         if not 1 / MAX_FORCE_RATIO < ratio < MAX_FORCE_RATIO:
             raise LogError(
-                f"--start {self.name}: the forces in the new logs are {ratio:.2g} times as large "
-                "at the same speed, so the size of the fin differs; check the force unit, or fit "
-                "without --start"
+                f"--start {self.name}: the forces in the new logs are {ratio:.2g} times those of "
+                "the surrogate at the same speed, so the fin has a different size; check the force "
+                "unit, or fit without --start"
             )
         refitted = fit_streaming(logs, config, seed, run_directory, progress, start.members)
-        # The offset is the mean drift of the logs, and the start has been fitted to more logs.
+        # The offset is the mean drift of the logs; keep that of the start, which has more logs.
         refitted = eqx.tree_at(
             lambda each: each.members.force.offset, refitted, start.members.force.offset
         )
@@ -110,7 +111,8 @@ class Refit(NamedTuple):
         return StreamingSurrogate(better.members, start.limits, interval, better.familiarity)
 
     def provenance(self, logs: Sequence[Log], scored: Sequence[Log]) -> JsonObject:
-        """Return the name, hash and scores of the surrogate, and the minutes of new logs."""
+        """Return the name, hash and scores of the original surrogate, and the length of the new
+        logs in minutes."""
         return {
             "start": self.name,
             "identity": identity(self.start),
