@@ -85,7 +85,7 @@ above which the fin has changed suddenly."""
 MIXED_TRUST = 0.01
 """Weight of a window in which the fin changed suddenly, relative to others [-]."""
 
-UNFAMILIAR = 6.0
+UNFAMILIAR = 4.0
 """`Estimate.level` above which the fin is outside the family."""
 
 WHITE_NOISE = np.array([0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01])

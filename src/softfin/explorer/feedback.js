@@ -5,7 +5,7 @@
 
 /* Features of an action: force (x, y), angle, and torque and power, first on the fin, then of the motor. */
 const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6, PLACE = 2;
-const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, MIXED_TRUST = 0.01, UNFAMILIAR = 6, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
+const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, MIXED_TRUST = 0.01, UNFAMILIAR = 4, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
 const WHITE_NOISE = [0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01];
 /* Whether feedback may use a feature, for each setting. */
 const USABLE = { force: (feature) => feature < LOADS, torque: (feature) => feature > FORCES[1], both: () => true };
