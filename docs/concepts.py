@@ -372,7 +372,7 @@ def feedback(figure: Figure) -> None:
     reference_n = np.array([2.0, 1.0])
     count = 180
     changed = with_parameters(
-        Tank(), temperature_c=-5.0, stiffness=0.7, drag=0.8, added_mass=1.1, lag=1.3, dead_time=1.3
+        Tank(), stiffness=0.75, drag=1.2, added_mass=1.1, lag=1.3, dead_time=1.3
     )
     gaits = load_controller(EXAMPLE / "gaits")
     family = load_family(EXAMPLE / "gaits", gaits)
