@@ -93,3 +93,13 @@ def test_only_a_tank_has_parameters_that_change(gaits):
 def test_too_few_fins_are_refused(gaits):
     with pytest.raises(ConfigurationError, match="fins = 19"):
         softfin.family(gaits, config={"fins": 19})
+
+
+def test_an_evaluation_states_the_interval_of_feedback_and_how_often_it_held(gaits):
+    options = {"reference": ((1.0, 0.0), (1.5, 0.5)), "seconds": 12, "repeats": 2}
+    found = softfin.evaluate(gaits, **options, feedback=True)
+    assert 0 < min(found["feedback"]["half_width_n"])
+    assert 0 <= found["feedback"]["coverage"] <= 1
+    assert found["feedback"]["level"] >= 1
+    assert "90% interval" in str(found)
+    assert "feedback" not in softfin.evaluate(gaits, **options)

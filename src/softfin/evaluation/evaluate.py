@@ -43,6 +43,7 @@ from softfin.evaluation.scores import (
     STILL_RAD_S,
     Scores,
     data_distance,
+    feedback_scores,
     judged_force,
     mean_scores,
     outside_fraction,
@@ -141,6 +142,8 @@ class Evaluation:
             "mean": mean_scores(self.scores),
             "warning": "; ".join(filter(None, (*self.warnings, uncertain))) or None,
         }
+        if self.recording.estimate is not None:
+            summary["feedback"] = feedback_scores(self.recording)
         if self.moving:
             summary["moving"] = [row for moving in self.moving for row in moving.rows()]
         if self.random is not None:

@@ -68,6 +68,18 @@ class RangeErrors(TypedDict):
     worst_n: list[float]
 
 
+class FeedbackScores(TypedDict):
+    """Estimates of feedback over the windows after the first 6 s of the first repetition."""
+
+    half_width_n: list[float]
+    """Mean half-width of the 90% interval of the true mean force (x, y) [N]."""
+    coverage: float | None
+    """Fraction of the windows in which the true mean force is within the interval; None if the
+    plant does not compute it."""
+    level: float
+    """Largest `Estimate.level`."""
+
+
 class EvaluationSummary(TypedDict):
     """``evaluation.json``, and each baseline of ``baselines.json``."""
 
@@ -81,6 +93,7 @@ class EvaluationSummary(TypedDict):
     warning: str | None
     moving: NotRequired[list[MovingRow]]
     random: NotRequired[RangeErrors]
+    feedback: NotRequired[FeedbackScores]
     configuration: NotRequired[JsonObject]
     provenance: NotRequired[JsonObject]
 

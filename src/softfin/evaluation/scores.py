@@ -35,7 +35,7 @@ from softfin.core.plant import EnsemblePlant, State
 from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.results import AxisScores, MeanScores
+from softfin.evaluation.results import AxisScores, FeedbackScores, MeanScores
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
@@ -221,6 +221,33 @@ def outside_fraction(distance: Float[np.ndarray, "*references ticks"]) -> float:
     """Return the fraction of the samples outside the training data; 1 in 1000 training samples is
     itself outside."""
     return float((distance > 1).mean())
+
+
+FEEDBACK_START_S = 6.0
+"""Time before which the estimates of feedback are not scored, because it needs two windows [s]."""
+
+
+def feedback_scores(recording: ExperimentRecording) -> FeedbackScores:
+    """Compare the estimates of feedback at constant references with the true force of the same
+    windows, in the first repetition."""
+    clock = recording.clock
+    window = clock.window_ticks
+    estimate = jax.tree.map(lambda part: np.asarray(part)[:, 0], recording.estimate)
+    ends = np.arange(clock.window_actions, len(estimate.level[0]) + 1, clock.window_actions)
+    ends = ends[ends / clock.rate_hz > FEEDBACK_START_S]
+    half_width = estimate.half_width[:, ends - 1]
+    coverage = None
+    if recording.true_force is not None:
+        force = np.asarray(recording.true_force)[:, 0]
+        starts = (ends // clock.window_actions - 1) * window
+        means = np.stack([force[:, start : start + window].mean(axis=1) for start in starts], 1)
+        is_within = np.abs(means - estimate.force[:, ends - 1]) <= half_width
+        coverage = float(is_within.mean())
+    return {
+        "half_width_n": half_width.mean(axis=(0, 1)).tolist(),
+        "coverage": coverage,
+        "level": float(estimate.level.max()),
+    }
 
 
 def outside_warning(distance: Float[np.ndarray, "references ticks"]) -> str | None:

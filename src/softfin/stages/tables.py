@@ -137,6 +137,14 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
     """Return Table II, followed by the parts of the evaluation that were requested."""
     decimals = error_decimals(summary)
     lines = [table_two({summary["conditions"]["kind"]: summary})]
+    if "feedback" in summary:
+        found = summary["feedback"]
+        x, y = found["half_width_n"]
+        share = "" if found["coverage"] is None else f", which held in {found['coverage']:.0%}"
+        lines.append(
+            f"  feedback: 90% interval of the true mean force +-{x:.{decimals}f}, "
+            f"+-{y:.{decimals}f} N{share}; level {found['level']:.1f}"
+        )
     if "moving" in summary:
         lines.append(moving_table(summary["moving"], decimals))
     if "random" in summary:
