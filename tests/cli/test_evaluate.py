@@ -210,3 +210,9 @@ def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(
     assert told in line
     assert stop.value.code == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_a_field_of_feedback_has_a_value(controller, capsys):
+    with pytest.raises(SystemExit):
+        main(["evaluate", controller, "--feedback.uses", "torque"])
+    assert "feedback.uses = torque: " in capsys.readouterr().err

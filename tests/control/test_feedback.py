@@ -322,3 +322,25 @@ def test_with_numpy_it_does_what_it_does_with_jax(family: Family | None) -> None
         force = np.array([command.angle, command.velocity]) + 0.05 + seen[:2]
         angle, *loads = seen[2:].tolist()
         measured = Measured(angle, tuple(force.tolist()), tuple(loads[:2]), tuple(loads[2:]))
+
+
+def test_one_missing_action_costs_only_this_action() -> None:
+    """Of the torque and of the force; the controller inside acts all the same."""
+    controller = Feedback(Carrier(), family=FAMILY)
+    state = controller.init()
+    for action in range(60):
+        features = FAMILY.nominal[2, 2, action % 6] + [0.8, 0.4] @ FAMILY.features[2, 2, action % 6]
+        features[:2] += state.tracked[-1]
+        features[3] = np.nan if action % 6 == 2 else features[3]
+        features[0] = np.nan if action == 41 else features[0]
+        angle, *loads = features[2:].tolist()
+        measured = Measured(angle, tuple(features[:2]), tuple(loads[:2]), tuple(loads[2:]))
+        state, command = controller.act(state, measured, (1.0, 1.0))
+        assert np.isfinite([command.angle, command.velocity]).all()
+    np.testing.assert_allclose(state.mean[:2], [0.8, 0.4], atol=0.1)
+
+
+def test_coefficients_that_no_fin_has_are_told() -> None:
+    force, estimates = run(Feedback(Carrier(), family=FAMILY), still(120), 0, 0, (6.0, -6.0))
+    assert np.asarray(estimates.level)[-1] > UNFAMILIAR
+    np.testing.assert_allclose(window(force, 120), 1, atol=0.1)

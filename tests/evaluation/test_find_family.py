@@ -11,6 +11,7 @@ from softfin.control.family import FEATURES, load_family
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.operations import NUMPY
+from softfin.evaluation.find_family import FamilyConfig
 from tests.gaits.known import save_known
 from tests.plants import StrokeFin
 
@@ -90,6 +91,12 @@ def test_only_a_tank_has_parameters_that_change(gaits):
         softfin.family(gaits, plant=StrokeFin())
 
 
+def test_fins_that_do_not_differ_are_refused(gaits):
+    widths = dict.fromkeys(FamilyConfig().widths.model_dump(), 0.0)
+    with pytest.raises(ConfigurationError, match="widths: all are 0"):
+        softfin.family(gaits, config={**TINY, "widths": widths})
+
+
 def test_too_few_fins_are_refused(gaits):
     with pytest.raises(ConfigurationError, match="fins = 19"):
         softfin.family(gaits, config={"fins": 19})
@@ -98,7 +105,7 @@ def test_too_few_fins_are_refused(gaits):
 def test_an_evaluation_states_the_interval_of_feedback_and_how_often_it_held(gaits):
     options = {"reference": ((1.0, 0.0), (1.5, 0.5)), "seconds": 12, "repeats": 2}
     found = softfin.evaluate(gaits, **options, feedback=True)
-    assert 0 < min(found["feedback"]["half_width_n"])
+    assert min(found["feedback"]["half_width_n"]) > 0
     assert 0 <= found["feedback"]["coverage"] <= 1
     assert found["feedback"]["level"] >= 1
     assert "90% interval" in str(found)

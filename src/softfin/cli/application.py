@@ -157,8 +157,11 @@ def _split(
         elif (
             left
             and not left[0].startswith("--")
-            # A misspelt flag has no value: the next word is an argument.
-            and not difflib.get_close_matches(option, flags, n=1, cutoff=FLAG_SIMILARITY)
+            # A misspelt flag has no value: the next word is an argument. Fields of fields have one.
+            and (
+                "." in option
+                or not difflib.get_close_matches(option, flags, n=1, cutoff=FLAG_SIMILARITY)
+            )
         ):
             changes[option] = left.pop(0)
         else:

@@ -82,6 +82,10 @@ SUDDEN = 6.0
 """Excess of the squared normalized innovation over its expected value, in standard deviations,
 above which the fin has changed suddenly."""
 
+FAR_SQUARED = 4.0
+"""Square of a coefficient that is as strange as a level of 1: 4 standard deviations have the level
+`UNFAMILIAR`."""
+
 MIXED_TRUST = 0.01
 """Weight of a window in which the fin changed suddenly, relative to others [-]."""
 
@@ -298,8 +302,10 @@ class Feedback:
             tracked = self._trackable(
                 ops, reference, reference - self._bias(ops, mean, tracked, used)
             )
+        # The inner controller does not use the force, which may be missing.
+        known = measured._replace(force=xp.nan_to_num(xp.asarray(measured.force)))
         inner, command = self.controller.act(
-            state.inner, measured, tuple(tracked.tolist()) if ops is NUMPY else tracked
+            state.inner, known, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
         return FeedbackState(
             mean=mean,
@@ -397,7 +403,6 @@ class Feedback:
         errors = measured.errors
         # Skip the first window, in which the fin starts from rest.
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
-        count = xp.maximum(has.sum(), 1)
         distance = xp.sqrt(((self._durations() @ tracked - state.used) ** 2).sum()) / self.reach_n
         repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
 
@@ -408,6 +413,7 @@ class Feedback:
 
         # If the fin is outside the family, earlier windows have raised the level.
         found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
+        count = xp.maximum(has.sum(), 1)
         is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
         # A window in which the fin changed is partly that of the old fin, so the next one decides.
         is_new = state.used[0] == np.inf
@@ -416,10 +422,15 @@ class Feedback:
         # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
         index = np.arange(self.size)
-        covariance = covariance + sudden * np.diag((index < coefficients).astype(float))
+        is_coefficient = (index < coefficients).astype(float)
+        kept = 1 - sudden * is_coefficient
+        covariance = covariance * kept[:, None] * kept + sudden * np.diag(is_coefficient)
         found = self._correct(ops, covariance, rows, errors, weights(repeated, 1.0))
         left = (errors - rows @ found.change)[2:]
         level = (weights(1.0, 1.0)[2:] * left**2).sum() / xp.maximum(has[2:].sum(), 1)
+        # Coefficients that no fin of the family has are as strange as what they do not explain.
+        implied = mean[:coefficients] + found.change[:coefficients]
+        level = xp.maximum(level, (xp.concatenate([implied, np.ones(1)]) ** 2).max() / FAR_SQUARED)
         level = xp.maximum(level, 1.0)
         # If no coefficients explain the pattern, rely on the mean force.
         is_unexplained = (level > UNFAMILIAR) | (coefficients == 0)
@@ -475,7 +486,7 @@ class Feedback:
         mean_change = xp.tensordot(durations, changes, 1)
         # Drift and the force error are the same for all actions of a window, so subtract the mean
         # to obtain the pattern.
-        ahead = ahead - IS_FORCE * (durations @ ahead)
+        ahead = xp.where(IS_FORCE > 0, ahead - durations @ ahead, ahead)
         changes = changes - IS_FORCE[:, None] * mean_change
         count = actions * nominal.shape[1]
         spread = ops.constant(family.feature_spread)

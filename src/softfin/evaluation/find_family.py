@@ -35,6 +35,9 @@ reach are moved to its edge."""
 BATCH = 128
 """Number of references that are simulated in parallel."""
 
+TINY = 1e-9
+"""Change of a feature below which no fin changes it."""
+
 HELD_OUT = 4
 """One in this many fins is held out, to measure the error that the components leave."""
 
@@ -101,6 +104,8 @@ def find_family(
             f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin "
             "map), or train the controller with a map"
         )
+    if not any(config.widths.model_dump().values()):
+        raise ConfigurationError("widths: all are 0, so all fins are the same; set some of them")
     register_controllers()
     box = reachable.bounding_box()
 
@@ -192,9 +197,9 @@ def _components(
     """
     forces = np.stack([change.force for change in changes])
     features = np.stack([change.features for change in changes])
-    force_scale = weights[:, None] / np.sqrt((forces**2).mean() * 2)
+    force_scale = weights[:, None] / np.maximum(np.sqrt((forces**2).mean() * 2), TINY)
     each = np.sqrt((features**2).mean(axis=(0, 1, 2)) * features[0, 0].size)
-    feature_scale = weights[:, None, None] / each
+    feature_scale = weights[:, None, None] / np.maximum(each, TINY)
 
     def flat(change: _Steady) -> Float[np.ndarray, "values"]:
         scaled = [force_scale * change.force, feature_scale * change.features]
@@ -202,7 +207,7 @@ def _components(
 
     every = np.stack(list(map(flat, changes)))
     _, lengths, directions = np.linalg.svd(every, full_matrices=False)
-    projection = directions[:count].T / lengths[:count] * np.sqrt(len(changes))
+    projection = directions[:count].T / np.maximum(lengths[:count], TINY) * np.sqrt(len(changes))
     fitted = every @ projection
     solved = [
         np.linalg.lstsq(fitted, values.reshape(len(fitted), -1), rcond=None)[0]

@@ -234,7 +234,8 @@ def feedback_scores(recording: ExperimentRecording) -> FeedbackScores:
     window = clock.window_ticks
     estimate = jax.tree.map(lambda part: np.asarray(part)[:, 0], recording.estimate)
     ends = np.arange(clock.window_actions, len(estimate.level[0]) + 1, clock.window_actions)
-    ends = ends[ends / clock.rate_hz > FEEDBACK_START_S]
+    # A short experiment has only its last window.
+    ends = ends[(ends / clock.rate_hz > FEEDBACK_START_S) | (ends == ends[-1])]
     half_width = estimate.half_width[:, ends - 1]
     coverage = None
     if recording.true_force is not None:

@@ -5,7 +5,7 @@
 
 /* Features of an action: force (x, y), angle, and torque and power, first on the fin, then of the motor. */
 const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6, PLACE = 2;
-const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, MIXED_TRUST = 0.01, UNFAMILIAR = 4, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
+const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, FAR_SQUARED = 4, MIXED_TRUST = 0.01, UNFAMILIAR = 4, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
 const WHITE_NOISE = [0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01];
 /* Whether feedback may use a feature, for each setting. */
 const USABLE = { force: (feature) => feature < LOADS, torque: (feature) => feature > FORCES[1], both: () => true };
@@ -120,22 +120,25 @@ class Feedback {
     const mean = this.mean.map((value, i) => kept[i] * value);
     let covariance = this.covariance.map((row, i) => row.map((value, j) => value * kept[i] * kept[j] + (i === j ? added[i] : 0)));
     const { rows, errors, has, variance, unexplained } = this.measurements(mean, moved), patterns = (values) => values.slice(FORCES.length);
-    const sum = (values) => values.reduce((total, value) => total + Number(value), 0), count = Math.max(sum(has), 1), counted = sum(patterns(has));
+    const sum = (values) => values.reduce((total, value) => total + Number(value), 0), counted = sum(patterns(has));
     // The part that the state does not explain is the same in all windows at the same reference.
     const distance = this.used === null ? Infinity : distanceTo(centre, this.used) / config.reach_n;
     let repeated = REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
     const weights = (times, level) => has.map((valid, i) => Number(valid) / ((variance[i] + times * unexplained[i]) * (i < FORCES.length ? 1 : level)));
     const opened = (last) => covariance.map((row, i) => row.map((value, j) => value + Number(i === j && i < last)));
-    const sudden = corrected(covariance, rows, errors, weights(repeated, this.level)).innovation > count + SUDDEN * Math.sqrt(2 * count);
+    const count = Math.max(sum(has), 1), { innovation } = corrected(covariance, rows, errors, weights(repeated, this.level));
+    const sudden = innovation > count + SUDDEN * Math.sqrt(2 * count);
     // A window in which the fin changed is partly that of the old fin, so the next one decides.
     const mixed = sudden && this.used !== null;
     if (sudden) {
       repeated = 1;
-      covariance = opened(coefficients);
+      covariance = covariance.map((row, i) => row.map((value, j) => (i < coefficients || j < coefficients ? Number(i === j) : value)));
     }
     const { change } = corrected(covariance, rows, errors, weights(repeated, 1)), plain = weights(1, 1);
     const squares = errors.map((error, i) => plain[i] * (error - dot(rows[i], change)) ** 2);
-    const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1);
+    // Coefficients that no fin of the family has are as strange as what they do not explain.
+    const implied = [...mean.slice(0, coefficients)].map((value, i) => (value + change[i]) ** 2 / FAR_SQUARED);
+    const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1, ...implied);
     // If no coefficients explain the pattern, rely on the mean force.
     if (sudden && !mixed && (level > UNFAMILIAR || coefficients === 0)) covariance = opened(coefficients + AFFINE + PLACE);
     const trust = mixed ? MIXED_TRUST : 1, trusted = weights(repeated, level).map((weight) => trust * weight);

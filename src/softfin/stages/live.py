@@ -177,7 +177,8 @@ def evaluate_live(
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
-    acting = load_feedback(controller, loaded, robot.feedback_settings(config.feedback))
+    config = config.model_copy(update={"feedback": robot.feedback_settings(config.feedback)})
+    acting = load_feedback(controller, loaded, config.feedback)
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
     bag = find_bags(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop, warn=warn) as session:
