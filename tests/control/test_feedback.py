@@ -329,9 +329,11 @@ def test_one_missing_action_costs_only_this_action() -> None:
     controller = Feedback(Carrier(), family=FAMILY)
     state = controller.init()
     for action in range(60):
-        features = FAMILY.nominal[2, 2, action % 6] + [0.8, 0.4] @ FAMILY.features[2, 2, action % 6]
+        # What is measured belongs to the action before.
+        phase = (action - 1) % 6
+        features = FAMILY.nominal[2, 2, phase] + [0.8, 0.4] @ FAMILY.features[2, 2, phase]
         features[:2] += state.tracked[-1]
-        features[3] = np.nan if action % 6 == 2 else features[3]
+        features[3] = np.nan if phase == 2 else features[3]
         features[0] = np.nan if action == 41 else features[0]
         angle, *loads = features[2:].tolist()
         measured = Measured(angle, tuple(features[:2]), tuple(loads[:2]), tuple(loads[2:]))
