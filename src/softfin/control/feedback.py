@@ -303,9 +303,9 @@ class Feedback:
                 ops, reference, reference - self._bias(ops, mean, tracked, used)
             )
         # The inner controller does not use the force, which may be missing.
-        known = measured._replace(force=xp.nan_to_num(xp.asarray(measured.force)))
+        finite = measured._replace(force=xp.nan_to_num(xp.asarray(measured.force)))
         inner, command = self.controller.act(
-            state.inner, known, tuple(tracked.tolist()) if ops is NUMPY else tracked
+            state.inner, finite, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
         return FeedbackState(
             mean=mean,
