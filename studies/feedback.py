@@ -25,9 +25,8 @@ from softfin.control.family import Family, load_family
 from softfin.control.feedback import UNFAMILIAR, Estimate, Feedback, FeedbackConfig
 from softfin.control.pytrees import register_controllers
 from softfin.core.action_clock import ActionClock
-from softfin.core.plant import State, Ticks, hold_action_with_hidden
 from softfin.core.quantities import Command, Limits, Reading
-from softfin.evaluation.experiment import Held, closed_loop
+from softfin.evaluation.experiment import simulate
 from softfin.evaluation.find_family import FamilyConfig
 from softfin.tank import Tank, TankConfig
 from softfin.tank.randomization import sample_tank, with_parameters
@@ -126,14 +125,9 @@ def _loop(
     clock: ActionClock = controller.clock
 
     def one(fin: ChangingFin, asked: Array, key: PRNGKeyArray) -> tuple[Array, Any]:
-        def hold(state: State, command: Command, ticks: Ticks) -> Held:
-            held = hold_action_with_hidden(fin, state, command, ticks, clock.max_ticks)
-            state, (reading, hidden) = held
-            return state, (reading, hidden.torque, hidden.true_force)
-
-        run = closed_loop(controller, fin, hold, asked, key, clock)
+        run = simulate(controller, fin, asked, key)
         windows = len(asked) // clock.window_actions
-        whole = run.output[: windows * clock.window_ticks]
+        whole = run.output.true_force[: windows * clock.window_ticks]
         last = slice(clock.window_actions - 1, windows * clock.window_actions, clock.window_actions)
         estimates = jax.tree.map(lambda part: part[last], run.estimate)
         return whole.reshape(windows, clock.window_ticks, 2).mean(axis=1), estimates

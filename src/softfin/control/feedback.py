@@ -53,7 +53,7 @@ from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
-from softfin.core.quantities import Command, Limits
+from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.gaits.reachable import PAPER_REACH_N, Cells, ForceVector, Reachable, cell_corners
 
 HALF_90 = 1.645
@@ -360,10 +360,11 @@ class Feedback:
     def _affine(self, ops: Operations, reference: Array) -> Array:
         """Return the derivatives of the affine part of the force error, ``(2, 6)`` [N]."""
         assert self.newtons is not None
-        # Each column is a constant plus a linear function of the reference.
-        return ops.xp.asarray(AFFINE_CONSTANT * self.newtons.bias_n) + (
-            AFFINE_SLOPE @ (reference * (self.newtons.bias_n / self.reach_n))
-        )
+        xp = ops.xp
+        # Each axis has a constant and a slope along x and y.
+        own = self.newtons.bias_n * xp.concatenate([np.ones(1), reference / self.reach_n])
+        other = np.zeros(3)
+        return xp.stack([xp.concatenate([own, other]), xp.concatenate([other, own])])
 
     def _bias(self, ops: Operations, mean: Array, reference: Array, used: Array) -> Array:
         assert self.newtons is not None
@@ -380,7 +381,7 @@ class Feedback:
         config = self.config
         assert self.newtons is not None
         coefficients = self.coefficients
-        window_s = self.clock.window_ticks / 100
+        window_s = self.clock.window_ticks / RATE_HZ
         # Predict.
         kept_drift = math.exp(-window_s / (2 * config.drift_s))
         kept = np.ones(self.size)
@@ -391,7 +392,8 @@ class Feedback:
         is_place = np.zeros(self.size)
         is_place[self._places] = 1.0
         tracked = state.tracked[1:]
-        near = self._near(ops, self._durations() @ tracked, state.used)
+        centre = self._durations @ tracked
+        near = self._near(ops, centre, state.used)
         faded = kept * (1 + is_place * (near - 1))
         mean = faded * state.mean
         added = added + is_place * (1 - near**2)
@@ -403,7 +405,7 @@ class Feedback:
         errors = measured.errors
         # Skip the first window, in which the fin starts from rest.
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
-        distance = xp.sqrt(((self._durations() @ tracked - state.used) ** 2).sum()) / self.reach_n
+        distance = xp.sqrt(((centre - state.used) ** 2).sum()) / self.reach_n
         repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
 
         def weights(repeated: Number, level: Number) -> Array:
@@ -443,12 +445,13 @@ class Feedback:
         is_judged = has[2:].any() & xp.logical_not(is_mixed)
         level = xp.where(is_judged, (state.level + level) / 2, state.level)
         is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
-        used = xp.where(is_used, self._durations() @ tracked, state.used)
+        used = xp.where(is_used, centre, state.used)
         used = xp.where(is_mixed, np.inf, used)
         return mean + found.change, covariance, used, level
 
+    @cached_property
     def _durations(self) -> Float[np.ndarray, "actions"]:
-        """Return the duration of each action as a fraction of the window."""
+        """Duration of each action as a fraction of the window."""
         clock = self.clock
         return np.array(clock.action_ticks(clock.window_actions)) / clock.window_ticks
 
@@ -462,7 +465,7 @@ class Feedback:
         assert newtons is not None
         tracked = state.tracked[1:]
         actions = self.clock.window_actions
-        durations = self._durations()
+        durations = self._durations
         centre = durations @ tracked
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
@@ -594,8 +597,3 @@ class _Correction(NamedTuple):
 
 IS_FORCE = np.isin(FEATURES, FEATURES[FORCE_FEATURES]).astype(float)
 IS_MOTOR = np.isin(FEATURES, FEATURES[MOTOR_FEATURES]).astype(float)
-AFFINE_CONSTANT = np.concatenate([np.eye(2), np.zeros((2, 4))], axis=1)
-"""Effect of the six affine parameters on the force (x, y) at a reference of 0."""
-AFFINE_SLOPE = np.zeros((2, 6, 2))
-"""Effect of the six affine parameters on the force (x, y), per unit of the reference (x, y)."""
-AFFINE_SLOPE[0, 2, 0] = AFFINE_SLOPE[0, 3, 1] = AFFINE_SLOPE[1, 4, 0] = AFFINE_SLOPE[1, 5, 1] = 1.0

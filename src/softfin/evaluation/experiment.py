@@ -148,7 +148,7 @@ def run_together(
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
     parties = (controller, plant)
-    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys, clock)
+    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
     # Each set gets its own rows and ticks of the results.
     first = 0
     recordings = []
@@ -268,24 +268,34 @@ def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
     return Measured(angle, force, *loads)
 
 
+def simulate(
+    controller: Controller, plant: Plant, references: Float[Array, "actions 2"], key: PRNGKeyArray
+) -> LoopRecording:
+    """Run a controller on a plant from rest, like `closed_loop`; the output is what the plant knows
+    besides its readings (`Hidden`)."""
+    clock = controller_clock(controller)
+
+    def hold(state: State, command: Command, ticks: Ticks) -> Held:
+        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
+        state, (reading, hidden) = held
+        return state, (reading, hidden.torque, hidden)
+
+    return closed_loop(controller, plant, hold, references, key, clock)
+
+
 @jit("low")
 def _program(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
-    clock: ActionClock,
 ) -> LoopRecording:
     """Run experiments; compiled once for all controllers and plants that differ only in their
     arrays."""
     controller, plant = parties
 
-    def hold(state: State, command: Command, ticks: Ticks) -> Held:
-        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
-        state, (reading, hidden) = held
-        return state, (reading, hidden.torque, hidden.true_force)
-
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
-        return closed_loop(controller, plant, hold, asked, key, clock)
+        run = simulate(controller, plant, asked, key)
+        return run._replace(output=run.output.true_force)
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(

@@ -11,19 +11,20 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from softfin.control.controller import LoadedController, Measured
+from softfin.control.controller import LoadedController
 from softfin.control.family import MIN_FINS, Family
 from softfin.control.pytrees import register_controllers
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.operations import NUMPY
-from softfin.core.plant import masked_mean, mean_loads, repeat
+from softfin.core.plant import mean_loads
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import AnyArray, Command
+from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
+from softfin.evaluation.experiment import simulate
 from softfin.gaits.reachable import Reachable
 from softfin.tank.randomization import DomainRandomization, sample_tank
-from softfin.tank.tank import Tank, TankState
+from softfin.tank.tank import Tank
 
 STEADY_WINDOWS = 3
 """Number of windows to run from rest; the last one is tabulated."""
@@ -75,16 +76,6 @@ class _Steady(NamedTuple):
     """True mean force over the window [N]."""
     features: Float[AnyArray, "*references actions features"]
     friction: Float[AnyArray, "*references actions 2"]
-
-
-class _Seen(NamedTuple):
-    """One tick of a fin."""
-
-    read: Float[Array, "2"]
-    force: Float[Array, "2"]
-    torque: Float[Array, "2"]
-    velocity: Float[Array, ""]
-    angle: Float[Array, ""]
 
 
 def find_family(
@@ -264,37 +255,24 @@ def _run_references(
         jax.tree.map(jnp.zeros_like, errors),
     )
 
+    ends = np.cumsum(durations)
+    last = range(len(durations) - clock.window_actions, len(durations))
+
     def one(reference: Float[Array, "2"]) -> _Steady:
-        def action(
-            carry: tuple[object, TankState, Measured], ticks: Array
-        ) -> tuple[tuple[object, TankState, Measured], tuple[Array, Array, Array]]:
-            memory, state, measured = carry
-            memory, command = controller.act(memory, measured, reference)
-            command = Command(*(jnp.asarray(part, jnp.float32) for part in command))
-
-            def tick(state: TankState) -> tuple[TankState, _Seen]:
-                state, (_, angle, velocity, read), _load = exact.tick(state, command)
-                return state, _Seen(read, state.force, state.torque, velocity, angle)
-
-            state, seen = repeat(tick, state, ticks, clock.max_ticks)
-            turns = jnp.stack([jnp.sign(seen.velocity), jnp.abs(seen.velocity)], axis=1)
-            read = masked_mean(seen.read, ticks)
-            shaft, motor = mean_loads(seen.torque, seen.velocity, ticks)
-            angle = seen.angle[ticks - 1]
-            features = jnp.concatenate([read, angle[None], shaft, motor])
-            measured = Measured(angle, read, shaft, motor)
-            kept = masked_mean(seen.force, ticks), features, masked_mean(turns, ticks)
-            return (memory, state, measured), kept
-
-        rest = Measured(
-            jnp.float32(tank.limits.rest_angle), jnp.zeros(2), jnp.zeros(2), jnp.zeros(2)
-        )
-        carry = (controller.init(), exact.init(jax.random.key(0)), rest)
-        _, (true, features, friction) = jax.lax.scan(action, carry, jnp.asarray(durations))
-        last = slice(-clock.window_actions, None)
-        held = jnp.asarray(durations[last], jnp.float32)
-        mean = (held[:, None] * true[last]).sum(axis=0) / clock.window_ticks
-        return _Steady(mean, features[last], friction[last])
+        references = jnp.broadcast_to(reference, (len(durations), 2))
+        run = simulate(controller, exact, references, jax.random.key(0))
+        features = []
+        friction = []
+        for action in last:
+            ticks = slice(ends[action] - durations[action], ends[action])
+            velocity = jnp.asarray(run.reading.velocity[ticks])
+            loads = mean_loads(run.output.torque[ticks], velocity, durations[action])
+            force = run.reading.force[ticks].mean(axis=0)
+            angle = run.reading.angle[ends[action] - 1]
+            features.append(jnp.concatenate([force, angle[None], *loads]))
+            friction.append(jnp.stack([jnp.sign(velocity).mean(), jnp.abs(velocity).mean()]))
+        force = run.output.true_force[-clock.window_ticks :].mean(axis=0)
+        return _Steady(force, jnp.stack(features), jnp.stack(friction))
 
     found: _Steady = jax.lax.map(one, references, batch_size=BATCH)
     return found
