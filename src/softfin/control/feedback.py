@@ -86,8 +86,11 @@ FAR_SQUARED = 4.0
 """Square of a coefficient that is as strange as a level of 1: 4 standard deviations have the level
 `UNFAMILIAR`."""
 
-MIXED_TRUST = 0.01
-"""Weight of a window in which the fin changed suddenly, relative to others [-]."""
+JUMP_SHARE = 0.1
+"""Prior standard deviation of a sudden change of the sensor, as a fraction of the reach [-]."""
+
+TINY_N = 1e-6
+"""Replaces a drift of zero, with which no sudden change is attributed to the sensor [N]."""
 
 UNFAMILIAR = 4.0
 """`Estimate.level` above which the fin is outside the family."""
@@ -417,17 +420,21 @@ class Feedback:
         found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
         count = xp.maximum(has.sum(), 1)
         is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
-        # A window in which the fin changed is partly that of the old fin, so the next one decides.
-        is_new = state.used[0] == np.inf
-        is_mixed = is_sudden & xp.logical_not(is_new)
-        sudden = xp.where(is_sudden, 1.0, 0.0)
+        # A window in which something changed is partly that from before, so the next one decides.
+        is_mixed = is_sudden & (state.used[0] != np.inf)
         # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
         index = np.arange(self.size)
         is_coefficient = (index < coefficients).astype(float)
-        kept = 1 - sudden * is_coefficient
-        covariance = covariance * kept[:, None] * kept + sudden * np.diag(is_coefficient)
-        found = self._correct(ops, covariance, rows, errors, weights(repeated, 1.0))
+        kept = 1 - is_coefficient
+        by_fin = covariance * kept[:, None] * kept + np.diag(is_coefficient)
+        fin = self._correct(ops, by_fin, rows, errors, weights(1.0, 1.0))
+        by_sensor = covariance + np.diag(self._jump)
+        sensor = self._correct(ops, by_sensor, rows, errors, weights(1.0, 1.0))
+        # Without a pattern, both explain a sudden change equally well.
+        is_sensor = is_sudden & (sensor.unlikely < fin.unlikely) & measured.has[2:].any()
+        sudden = xp.where(is_sudden, xp.where(is_sensor, by_sensor, by_fin), covariance)
+        found = self._correct(ops, sudden, rows, errors, weights(repeated, 1.0))
         left = (errors - rows @ found.change)[2:]
         level = (weights(1.0, 1.0)[2:] * left**2).sum() / xp.maximum(has[2:].sum(), 1)
         # Coefficients that no fin of the family has are as strange as what they do not explain.
@@ -436,18 +443,26 @@ class Feedback:
         level = xp.maximum(level, 1.0)
         # If no coefficients explain the pattern, rely on the mean force.
         is_unexplained = (level > UNFAMILIAR) | (coefficients == 0)
-        is_strange = is_sudden & is_unexplained & xp.logical_not(is_mixed)
+        is_strange = is_sudden & is_unexplained
         strange = xp.where(is_strange, 1.0, 0.0)
-        covariance = covariance + strange * np.diag((index < coefficients + 8).astype(float))
-        trust = xp.where(is_mixed, MIXED_TRUST, 1.0)
-        found = self._correct(ops, covariance, rows, errors, trust * weights(repeated, level))
-        covariance = (found.covariance + found.covariance.T) / 2
+        opened = xp.where(is_strange, by_fin, sudden)
+        opened = opened + strange * np.diag((index < coefficients + 8).astype(float))
+        found = self._correct(ops, opened, rows, errors, weights(repeated, level))
+        covariance = xp.where(is_mixed, covariance, (found.covariance + found.covariance.T) / 2)
+        mean = xp.where(is_mixed, mean, mean + found.change)
         is_judged = has[2:].any() & xp.logical_not(is_mixed)
         level = xp.where(is_judged, (state.level + level) / 2, state.level)
         is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
         used = xp.where(is_used, centre, state.used)
         used = xp.where(is_mixed, np.inf, used)
-        return mean + found.change, covariance, used, level
+        return mean, covariance, used, level
+
+    @property
+    def _jump(self) -> Float[np.ndarray, "states"]:
+        """Variance that a sudden change of the sensor adds to each state."""
+        jump = np.zeros(self.size)
+        jump[self._drifts] = (JUMP_SHARE * self.reach_n / max(self.config.drift_n, TINY_N)) ** 2
+        return jump
 
     @cached_property
     def _durations(self) -> Float[np.ndarray, "actions"]:
@@ -536,12 +551,12 @@ class Feedback:
         information = rows.T @ weighted
         # The size of this system is the number of states, not of measurements, and the covariance
         # may be singular.
-        after = ops.xp.linalg.solve(
-            np.eye(covariance.shape[0]) + covariance @ information, covariance
-        )
+        system = np.eye(covariance.shape[0]) + covariance @ information
+        after = ops.xp.linalg.solve(system, covariance)
         pull = errors @ weighted
         change = after @ pull
-        return _Correction(change, after, (weights * errors**2).sum() - pull @ change)
+        innovation = (weights * errors**2).sum() - pull @ change
+        return _Correction(change, after, innovation, ops.xp.linalg.slogdet(system)[1])
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
         """Move the corrected reference into the reachable forces and the controller cells.
@@ -593,6 +608,13 @@ class _Correction(NamedTuple):
     innovation: Number
     """Squared normalized innovation; its distribution is chi-squared with one degree of freedom per
     measurement."""
+    volume: Number
+    """Logarithm of the determinant of the innovation covariance, relative to that of the noise."""
+
+    @property
+    def unlikely(self) -> Number:
+        """-2 times the logarithm of the likelihood of the measurements, except for a constant."""
+        return self.innovation + self.volume
 
 
 IS_FORCE = np.isin(FEATURES, FEATURES[FORCE_FEATURES]).astype(float)
