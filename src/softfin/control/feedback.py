@@ -82,6 +82,10 @@ SUDDEN = 6.0
 """Excess of the squared normalized innovation over its expected value, in standard deviations,
 above which the fin has changed suddenly."""
 
+LIKELIER = 20.0
+"""Reduction in -2 times the logarithm of the likelihood, by a sudden change of the fin or of the
+sensor, above which it has happened."""
+
 FAR_SQUARED = 4.0
 """Square of a coefficient that is as strange as a level of 1: 4 standard deviations have the level
 `UNFAMILIAR`."""
@@ -417,20 +421,23 @@ class Feedback:
             return has / (variance * raised)
 
         # If the fin is outside the family, earlier windows have raised the level.
-        found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
-        count = xp.maximum(has.sum(), 1)
-        is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
-        # A window in which something changed is partly that from before, so the next one decides.
-        is_mixed = is_sudden & (state.used[0] != np.inf)
-        # The unexplained part of a changed fin is new, so it is not a repetition.
-        repeated = xp.where(is_sudden, 1.0, repeated)
+        weighed = weights(repeated, state.level)
         index = np.arange(self.size)
         is_coefficient = (index < coefficients).astype(float)
         kept = 1 - is_coefficient
         by_fin = covariance * kept[:, None] * kept + np.diag(is_coefficient)
-        fin = self._correct(ops, by_fin, rows, errors, weights(1.0, 1.0))
         by_sensor = covariance + np.diag(self._jump)
-        sensor = self._correct(ops, by_sensor, rows, errors, weights(1.0, 1.0))
+        nothing = self._correct(ops, covariance, rows, errors, weighed)
+        fin = self._correct(ops, by_fin, rows, errors, weighed)
+        sensor = self._correct(ops, by_sensor, rows, errors, weighed)
+        count = xp.maximum(has.sum(), 1)
+        is_far = nothing.innovation > count + SUDDEN * xp.sqrt(2 * count)
+        gain = nothing.unlikely - xp.minimum(fin.unlikely, sensor.unlikely)
+        is_sudden = is_far | (gain > LIKELIER)
+        # A window in which something changed is partly that from before, so the next one decides.
+        is_mixed = is_sudden & (state.used[0] != np.inf)
+        # The unexplained part of a changed fin is new, so it is not a repetition.
+        repeated = xp.where(is_sudden, 1.0, repeated)
         # Without a pattern, both explain a sudden change equally well.
         is_sensor = is_sudden & (sensor.unlikely < fin.unlikely) & measured.has[2:].any()
         sudden = xp.where(is_sudden, xp.where(is_sensor, by_sensor, by_fin), covariance)
