@@ -185,6 +185,8 @@ class FeedbackState(NamedTuple):
     """Uncorrected references of the last actions and of the next one [N]."""
     used: Array
     """Mean corrected reference over the last window that was used [N]."""
+    was_mixed: Array
+    """Whether something changed suddenly within the last window."""
     level: Number
     """As in `Estimate`."""
     age: Number
@@ -281,6 +283,7 @@ class Feedback:
             tracked=np.zeros((actions + 1, 2)),
             references=np.zeros((actions + 1, 2)),
             used=np.full(2, np.inf),
+            was_mixed=np.False_,
             level=1.0,
             age=0,
         )
@@ -299,30 +302,24 @@ class Feedback:
         seen = xp.concatenate([state.seen[1:], now[None]])
         actions = self.clock.window_actions
         ends_window = (state.age % actions == 0) & (state.age > 0)
-        mean, covariance, used, level = ops.branch(
-            ends_window,
-            lambda: self._update(ops, state, seen),
-            lambda: (state.mean, state.covariance, state.used, state.level),
+        state = ops.branch(
+            ends_window, lambda: self._update(ops, state, seen), lambda: state
         )
         tracked = reference + state.tracked[-1] - state.references[-1]
         for _ in range(FIXED_POINT_STEPS):
             tracked = self._trackable(
-                ops, reference, reference - self._bias(ops, mean, tracked, used)
+                ops, reference, reference - self._bias(ops, state.mean, tracked, state.used)
             )
         # The inner controller does not use the force, which may be missing.
         finite = measured._replace(force=xp.nan_to_num(xp.asarray(measured.force)))
         inner, command = self.controller.act(
             state.inner, finite, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
-        return FeedbackState(
-            mean=mean,
-            covariance=covariance,
+        return state._replace(
             inner=inner,
             seen=seen,
             tracked=xp.concatenate([state.tracked[1:], tracked[None]]),
             references=xp.concatenate([state.references[1:], reference[None]]),
-            used=used,
-            level=level,
             age=state.age + 1,
         ), command
 
@@ -379,11 +376,8 @@ class Feedback:
         rows = self._bias_rows(ops, reference, self._near(ops, reference, used))
         return ops.xp.clip(rows @ mean, -limit_n, limit_n)
 
-    def _update(
-        self, ops: Operations, state: FeedbackState, seen: Array
-    ) -> tuple[Array, Array, Array, Number]:
-        """Return the mean, the covariance, the last used reference and the level after the window
-        that has just ended."""
+    def _update(self, ops: Operations, state: FeedbackState, seen: Array) -> FeedbackState:
+        """Return the state after the window that has just ended."""
         xp = ops.xp
         config = self.config
         assert self.newtons is not None
@@ -414,6 +408,7 @@ class Feedback:
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
         distance = xp.sqrt(((centre - state.used) ** 2).sum()) / self.reach_n
         repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
+        repeated = xp.where(state.was_mixed, 1.0, repeated)
 
         def weights(repeated: Number, level: Number) -> Array:
             variance = measured.variance + repeated * measured.unexplained
@@ -423,9 +418,9 @@ class Feedback:
         # If the fin is outside the family, earlier windows have raised the level.
         weighed = weights(repeated, state.level)
         index = np.arange(self.size)
-        is_coefficient = (index < coefficients).astype(float)
-        kept = 1 - is_coefficient
-        by_fin = covariance * kept[:, None] * kept + np.diag(is_coefficient)
+        forgotten = (index < coefficients).astype(float) + is_place
+        kept = 1 - forgotten
+        by_fin = covariance * kept[:, None] * kept + np.diag(forgotten)
         by_sensor = covariance + np.diag(self._jump)
         nothing = self._correct(ops, covariance, rows, errors, weighed)
         fin = self._correct(ops, by_fin, rows, errors, weighed)
@@ -435,7 +430,7 @@ class Feedback:
         gain = nothing.unlikely - xp.minimum(fin.unlikely, sensor.unlikely)
         is_sudden = is_far | (gain > LIKELIER)
         # A window in which something changed is partly that from before, so the next one decides.
-        is_mixed = is_sudden & (state.used[0] != np.inf)
+        is_mixed = is_sudden & xp.logical_not(state.was_mixed) & (state.used[0] != np.inf)
         # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
         # Without a pattern, both explain a sudden change equally well.
@@ -460,9 +455,13 @@ class Feedback:
         is_judged = has[2:].any() & xp.logical_not(is_mixed)
         level = xp.where(is_judged, (state.level + level) / 2, state.level)
         is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
-        used = xp.where(is_used, centre, state.used)
-        used = xp.where(is_mixed, np.inf, used)
-        return mean, covariance, used, level
+        return state._replace(
+            mean=mean,
+            covariance=covariance,
+            used=xp.where(is_used & xp.logical_not(is_mixed), centre, state.used),
+            was_mixed=is_mixed,
+            level=level,
+        )
 
     @property
     def _jump(self) -> Float[np.ndarray, "states"]:
