@@ -196,8 +196,26 @@ def evaluation_seed(seed: int) -> int:
 
 
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
-    """Evaluation of a trained controller, with the noise, drift and tanks of its seed."""
+    """Evaluation of a trained controller, with the noise, drift and tanks of its seed; with
+    feedback, after the step of `find_family`."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
     seed = "" if controller.seed is None else f" --seed {evaluation_seed(controller.seed)}"
     command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
-    return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)
+    after = (_family_name(controller.name),) if "--feedback" in options else ()
+    return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny, after=after)
+
+
+TORQUE_ONLY = "--feedback --feedback.uses torque"
+"""Options of feedback without a force sensor."""
+
+
+def find_family(controller: Step, folder: str = "") -> Step:
+    """Search for the family of a controller in the tank, which is written into the folder of the
+    controller; `folder` is its path below the result of the step."""
+    words = ("softfin", "family", f"{controller.name}{folder}", "--plant", "tank")
+    tiny = ("--fins", "20", "--nodes", "3", "--nominal-nodes", "3")
+    return Step(_family_name(controller.name), words, 1.5, controller.seed, tiny)
+
+
+def _family_name(controller: str) -> str:
+    return f"family-{controller}"

@@ -8,12 +8,14 @@ from results.parts.common import (
     PAPER_BOX,
     PUBLISHED,
     TINY_MAP,
+    TORQUE_ONLY,
     Figures,
     Part,
     Work,
     dataset,
     evaluate,
     evaluation_seed,
+    find_family,
     make_controller,
     names_of,
     pair,
@@ -80,6 +82,8 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
         "tank-feedback": "--feedback",
         "perturbed": "--randomize 0.15 --repeats 20",
         "perturbed-feedback": "--randomize 0.15 --repeats 20 --feedback --moving",
+        "tank-torque": TORQUE_ONLY,
+        "perturbed-torque": f"--randomize 0.15 --repeats 20 {TORQUE_ONLY} --moving",
     }
     return _in_tank(
         "Controllers from streaming surrogates in the tank",
@@ -135,8 +139,14 @@ def _in_tank(
     ways: Mapping[str, str],
 ) -> Part:
     """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within
-    that surrogate."""
+    that surrogate. Only gaits are judged without a force sensor."""
     steps = []
+
+    def ways_of(kind: str) -> dict[str, str]:
+        return {
+            name: way for name, way in ways.items() if kind == "gaits" or TORQUE_ONLY not in way
+        }
+
     for seed in seeds:
         steps += [dataset(seed), fit(seed)]
         for kind in kinds:
@@ -144,14 +154,15 @@ def _in_tank(
             plants = {"within": f"{model}-{seed}"}
             judged = [
                 evaluate(trained, plants.get(name, "tank"), name, way, 0.5)
-                for name, way in ways.items()
+                for name, way in ways_of(kind).items()
             ]
-            steps += [trained, *judged]
+            families = [find_family(trained)] if any(each.after for each in judged) else []
+            steps += [trained, *families, *judged]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for kind in kinds:
-            for way in ways:
+            for way in ways_of(kind):
                 key = f"{kind}.{way}"
                 rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
                 figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)
