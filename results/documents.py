@@ -7,10 +7,10 @@ two comments.
 
 ``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure,
 ``{PART.FIGURE:.2f}`` has other digits than three and ``{PART.FIGURE:.2f plain}`` another summary
-(mean, plain for a mean without its interval, median, worst). ``{PART.FIGURE?}`` is a figure that may
-be newer than the JSON file; without it the document says so. A line below a table names the files,
-seeds and dates of its figures; elsewhere ``{PART}`` does so. The evidence page of the site adds
-commands, commits, machine and age.
+(mean, plain for a mean without its interval, median, worst). ``{PART.FIGURE?}`` may be newer than
+the JSON file; the document then says that it is not yet measured. A line below a table names the
+files, seeds and dates of its figures; elsewhere ``{PART}`` does so. The evidence page of the site
+adds commands, commits, machine and age.
 """
 
 import math

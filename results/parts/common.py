@@ -217,5 +217,10 @@ def find_family(controller: Step, folder: str = "") -> Step:
     return Step(_family_name(controller.name), words, 1.5, controller.seed, tiny)
 
 
+def families_before(judged: Sequence[Step], controller: Step) -> list[Step]:
+    """The search for the family of a controller, if an evaluation needs it."""
+    return [find_family(controller)] if any(each.after for each in judged) else []
+
+
 def _family_name(controller: str) -> str:
     return f"family-{controller}"

@@ -15,7 +15,7 @@ from results.parts.common import (
     dataset,
     evaluate,
     evaluation_seed,
-    find_family,
+    families_before,
     make_controller,
     names_of,
     pair,
@@ -139,14 +139,8 @@ def _in_tank(
     ways: Mapping[str, str],
 ) -> Part:
     """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within
-    that surrogate. Only gaits are judged without a force sensor."""
+    that surrogate."""
     steps = []
-
-    def ways_of(kind: str) -> dict[str, str]:
-        return {
-            name: way for name, way in ways.items() if kind == "gaits" or TORQUE_ONLY not in way
-        }
-
     for seed in seeds:
         steps += [dataset(seed), fit(seed)]
         for kind in kinds:
@@ -154,15 +148,14 @@ def _in_tank(
             plants = {"within": f"{model}-{seed}"}
             judged = [
                 evaluate(trained, plants.get(name, "tank"), name, way, 0.5)
-                for name, way in ways_of(kind).items()
+                for name, way in _ways_of(kind, ways).items()
             ]
-            families = [find_family(trained)] if any(each.after for each in judged) else []
-            steps += [trained, *families, *judged]
+            steps += [trained, *families_before(judged, trained), *judged]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for kind in kinds:
-            for way in ways_of(kind):
+            for way in _ways_of(kind, ways):
                 key = f"{kind}.{way}"
                 rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
                 figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)
@@ -190,6 +183,11 @@ def _in_tank(
         return figures
 
     return Part(title, tuple(steps), read)
+
+
+def _ways_of(kind: str, ways: Mapping[str, str]) -> dict[str, str]:
+    """Only gaits are judged without a force sensor."""
+    return {name: way for name, way in ways.items() if kind == "gaits" or TORQUE_ONLY not in way}
 
 
 def baselines_published(seeds: Sequence[int]) -> Part:
