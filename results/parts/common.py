@@ -128,7 +128,7 @@ def perturbed_tank_logs(seed: int) -> Step:
     return step(f"perturbed-{seed}", command, 1, seed, "--test-logs 2 --rows 1500")
 
 
-TINY_NETS = "--members 2 --drive-updates 2 --force-updates 2 --batch 8"
+TINY_NETS = "--members 2 --drive-updates 60 --force-updates 120 --batch 8"
 TINY_MAP = "--gaits.steps 6 --survey.directions 8 --survey.pushes 0 --spacing-n 1"
 TINY_TRAINING = "--num-evaluations 1 --policy.units 8 --policy.width 8 --steps 960"
 
