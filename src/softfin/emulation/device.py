@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
+from softfin.core.power import EC_MAX_30
 from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
@@ -18,7 +19,9 @@ from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
 from softfin.tank import Tank
-from softfin.tank.drive import TORQUE_CONSTANT_NM_A
+
+TORQUE_CONSTANT_NM_A = EC_MAX_30.torque_constant_nm_a * EC_MAX_30.gear_efficiency
+"""Torque at the fin per ampere of motor current, as for a real drive (docs/rig.md) [N m/A]."""
 
 
 class Emulator(NamedTuple):
