@@ -18,7 +18,15 @@ from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
-from softfin.evaluation.headline import error_decimals, headline, over_seeds, settling_time
+from softfin.evaluation.headline import (
+    describe_power,
+    error_decimals,
+    force_per_watt,
+    headline,
+    over_seeds,
+    settling_time,
+    supply_power,
+)
 from softfin.evaluation.results import RunResults
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
@@ -68,6 +76,9 @@ def write_report(
         error_decimals=error_decimals,
         over_seeds=over_seeds,
         settling_time=settling_time,
+        supply_power=supply_power,
+        force_per_watt=force_per_watt,
+        describe_power=describe_power,
         **{f"{part}_figures": _encode(figures.get(part, {})) for part in PARTS},
         configuration=configuration
         and yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),

@@ -26,12 +26,26 @@ class AxisScores(TypedDict):
     reading_error_seeds_n: NotRequired[list[float]]
 
 
+class PowerScores(TypedDict):
+    """Mean power over whole experiments [W]."""
+
+    mean_w: float
+    interval_w: list[float] | None
+    seeds_w: list[float]
+    force_per_watt_n: float | None
+    """Magnitude of the mean force divided by the mean power [N/W]; None without power."""
+    per_minute_j: float
+    """Energy per minute [J]."""
+
+
 class MeanScores(TypedDict):
     """Scores for one reference, or their mean over all references."""
 
     x: AxisScores
     y: AxisScores
     shaft_travel_rad_s: float
+    power: NotRequired[dict[str, PowerScores]]
+    """Mechanical power on the fin and electrical power of its motor, if known."""
 
 
 class ReferenceScores(MeanScores):

@@ -35,7 +35,7 @@ from softfin.core.plant import EnsemblePlant, State
 from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.results import AxisScores, FeedbackScores, MeanScores
+from softfin.evaluation.results import AxisScores, FeedbackScores, MeanScores, PowerScores
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
@@ -76,6 +76,10 @@ class Scores(NamedTuple):
     is treated as at rest."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
     """Error computed from the reading [N]; None if `error` is already computed from the reading."""
+    thrust: Float[np.ndarray, "references seeds"]
+    """Magnitude of the mean force [N]."""
+    power: Float[np.ndarray, "references seeds 2"] | None
+    """Mean mechanical and electrical power [W], NaN if not measured; None without both."""
 
 
 def score(recording: ExperimentRecording) -> Scores:
@@ -103,6 +107,8 @@ def score(recording: ExperimentRecording) -> Scores:
         shaft_travel=travel(shaft, clock),
         late_travel=travel(second_half, clock),
         reading_error=reading_error,
+        thrust=np.linalg.norm(force.mean(axis=2), axis=-1),
+        power=None if recording.power is None else np.asarray(recording.power).mean(axis=2),
     )
 
 
@@ -123,11 +129,32 @@ def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
                 row[f"{name}_seeds_n"] = own.tolist()
         axes.append(cast(AxisScores, row))
     x, y = axes
-    return {
+    row = {
         "x": x,
         "y": y,
         "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
     }
+    if chosen.power is not None:
+        row["power"] = power_scores(chosen.thrust, chosen.power)
+    return cast(MeanScores, row)
+
+
+def power_scores(
+    thrust: Float[np.ndarray, "seeds"], power: Float[np.ndarray, "seeds 2"]
+) -> dict[str, PowerScores]:
+    """Return the scores of the measured powers [W] at mean forces [N]."""
+    scores: dict[str, PowerScores] = {}
+    for name, own in zip(("mechanical", "electrical"), power.T, strict=True):
+        if np.isfinite(own).all():
+            mean_w = float(own.mean())
+            scores[name] = {
+                "mean_w": mean_w,
+                "interval_w": interval(own),
+                "seeds_w": own.tolist(),
+                "force_per_watt_n": float(thrust.mean()) / mean_w if mean_w > 0 else None,
+                "per_minute_j": 60 * mean_w,
+            }
+    return scores
 
 
 def scores_together(each: Sequence[Scores]) -> Scores:
