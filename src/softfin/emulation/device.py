@@ -20,8 +20,12 @@ from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
 from softfin.tank import Tank
 
-TORQUE_CONSTANT_NM_A = EC_MAX_30.torque_constant_nm_a * EC_MAX_30.gear_efficiency
-"""Torque at the fin per ampere of motor current, as for a real drive (docs/rig.md) [N m/A]."""
+MOTOR_VALUES = {
+    "torque_constant_nm_a": EC_MAX_30.torque_constant_nm_a * EC_MAX_30.gear_efficiency,
+    "gear_efficiency": EC_MAX_30.gear_efficiency,
+    "winding_ohm": EC_MAX_30.winding_ohm,
+}
+"""Motor of the emulated drives, as in the file of a real rig."""
 
 
 class Emulator(NamedTuple):
@@ -59,7 +63,7 @@ DRIVES = {
             "encoder_lines": 500,
             "gear_ratio": 111.0,
             "following_error_rad": 0.5,
-            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
+            **MOTOR_VALUES,
         },
         lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
     ),
@@ -68,7 +72,7 @@ DRIVES = {
             "port": "simulated",
             "model": "XM430-W350",
             "id": 1,
-            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
+            **MOTOR_VALUES,
         },
         lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
     ),

@@ -5,13 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from softfin.core.quantities import AXES
-from softfin.evaluation.results import (
-    EvaluationSummary,
-    MeanScores,
-    MovingRow,
-    PowerScores,
-    RunResults,
-)
+from softfin.evaluation.results import EvaluationSummary, MeanScores, MovingRow, RunResults
 from softfin.gaits.reachable import force_decimals
 from softfin.storage.figures import with_minus_signs
 
@@ -101,25 +95,3 @@ def settling_time(row: MovingRow) -> str:
     if row["settles"] is None:
         return ""
     return f"{row['longest_settling_s']:.1f} s" if row["settles"] else "never"
-
-
-def supply_power(row: MeanScores) -> PowerScores | None:
-    """Return the electrical power, or the mechanical power if only that is known."""
-    power = row.get("power", {})
-    return power.get("electrical", power.get("mechanical"))
-
-
-def force_per_watt(power: PowerScores) -> str:
-    """Return the mean force divided by the mean power as text."""
-    ratio = power["force_per_watt_n"]
-    return "-" if ratio is None else f"{ratio:.2f}"
-
-
-def describe_power(row: MeanScores) -> str:
-    """Return one line with the mean power, the force per watt and the energy per minute."""
-    means = (f"{own['mean_w']:.2f} W {name}" for name, own in row.get("power", {}).items())
-    power = supply_power(row)
-    if power is None:
-        return ""
-    each = f"{force_per_watt(power)} N/W, {power['per_minute_j']:.0f} J per minute"
-    return f"mean power {', '.join(means)}; {each}"

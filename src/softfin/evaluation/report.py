@@ -16,17 +16,10 @@ import yaml
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from softfin.core.power import describe_powers, force_per_watt, supply_power
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
-from softfin.evaluation.headline import (
-    describe_power,
-    error_decimals,
-    force_per_watt,
-    headline,
-    over_seeds,
-    settling_time,
-    supply_power,
-)
+from softfin.evaluation.headline import error_decimals, headline, over_seeds, settling_time
 from softfin.evaluation.results import RunResults
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
@@ -78,7 +71,7 @@ def write_report(
         settling_time=settling_time,
         supply_power=supply_power,
         force_per_watt=force_per_watt,
-        describe_power=describe_power,
+        describe_powers=describe_powers,
         **{f"{part}_figures": _encode(figures.get(part, {})) for part in PARTS},
         configuration=configuration
         and yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),

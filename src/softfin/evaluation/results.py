@@ -7,6 +7,7 @@ the keys.
 from typing import NotRequired, TypedDict
 
 from softfin.core.json_object import JsonObject
+from softfin.core.power import MeanPower
 
 
 class AxisScores(TypedDict):
@@ -26,16 +27,12 @@ class AxisScores(TypedDict):
     reading_error_seeds_n: NotRequired[list[float]]
 
 
-class PowerScores(TypedDict):
-    """Mean power over whole experiments [W]."""
+class PowerScores(MeanPower):
+    """Mean power over whole experiments [W]: its 95% interval over the repetitions, and all
+    values."""
 
-    mean_w: float
     interval_w: list[float] | None
     seeds_w: list[float]
-    force_per_watt_n: float | None
-    """Magnitude of the mean force divided by the mean power [N/W]; None without power."""
-    per_minute_j: float
-    """Energy per minute [J]."""
 
 
 class MeanScores(TypedDict):

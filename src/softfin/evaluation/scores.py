@@ -32,6 +32,7 @@ from jaxtyping import Array, Float
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, State
+from softfin.core.power import POWERS, mean_powers
 from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
@@ -134,27 +135,21 @@ def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
         "y": y,
         "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
     }
-    if chosen.power is not None:
-        row["power"] = power_scores(chosen.thrust, chosen.power)
+    if chosen.power is not None and (power := power_scores(chosen.thrust, chosen.power)):
+        row["power"] = power
     return cast(MeanScores, row)
 
 
 def power_scores(
     thrust: Float[np.ndarray, "seeds"], power: Float[np.ndarray, "seeds 2"]
 ) -> dict[str, PowerScores]:
-    """Return the scores of the measured powers [W] at mean forces [N]."""
-    scores: dict[str, PowerScores] = {}
-    for name, own in zip(("mechanical", "electrical"), power.T, strict=True):
-        if np.isfinite(own).all():
-            mean_w = float(own.mean())
-            scores[name] = {
-                "mean_w": mean_w,
-                "interval_w": interval(own),
-                "seeds_w": own.tolist(),
-                "force_per_watt_n": float(thrust.mean()) / mean_w if mean_w > 0 else None,
-                "per_minute_j": 60 * mean_w,
-            }
-    return scores
+    """Return the scores of the known powers [W] at mean forces [N]."""
+    means = mean_powers(float(thrust.mean()), power.mean(axis=0).tolist())
+    seeds = dict(zip(POWERS, power.T, strict=True))
+    return {
+        name: {**mean, "interval_w": interval(seeds[name]), "seeds_w": seeds[name].tolist()}
+        for name, mean in means.items()
+    }
 
 
 def scores_together(each: Sequence[Scores]) -> Scores:

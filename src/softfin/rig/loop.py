@@ -5,17 +5,21 @@ References can come from the user, a topic, the rows of a file or any function t
 latest reference.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import TypeAlias
 
+import numpy as np
+
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
+from softfin.core.power import Motor, electrical_power
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.machine import Sample, Target
+from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line
 from softfin.rig.shaft_torque import Drive, ShaftTorque
@@ -37,6 +41,8 @@ class ActionResult:
     samples: list[Sample]
     estimate: Estimate | None = None
     """Estimate of the feedback after this action; None without feedback."""
+    power: tuple[float, float] = (math.nan, math.nan)
+    """Mean mechanical and electrical power [W]; NaN if unknown."""
 
 
 def run_controller(
@@ -76,7 +82,19 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
-        yield ActionResult(reference, target, samples, found)
+        mechanical = math.nan if torques[0] is None else torques[0][1]
+        power = (mechanical, _electrical_power(session.machine, samples))
+        yield ActionResult(reference, target, samples, found, power)
+
+
+def _electrical_power(machine: Machine, samples: Sequence[Sample]) -> float:
+    """Return the mean electrical power of an action [W]; NaN if the motor or a current is
+    unknown."""
+    # Only a rig has a configured drive.
+    motor: Motor | None = getattr(machine, "motor", None)
+    # A missing current becomes NaN.
+    current, velocity = np.array([(each.current, each.velocity) for each in samples], float).T
+    return math.nan if motor is None else float(electrical_power(current, velocity, motor).mean())
 
 
 class LiveReference:

@@ -5,15 +5,9 @@ from itertools import zip_longest
 from typing import Any
 
 from softfin.core.json_object import JsonObject
+from softfin.core.power import describe_powers, force_per_watt, supply_power
 from softfin.core.quantities import AXES
-from softfin.evaluation.headline import (
-    describe_power,
-    error_decimals,
-    force_per_watt,
-    over_seeds,
-    settling_time,
-    supply_power,
-)
+from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
 from softfin.evaluation.results import (
     EvaluationSummary,
@@ -61,7 +55,7 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     lines = []
     for name, summary in controllers.items():
         decimals = error_decimals(summary)
-        power = describe_power(summary["mean"])
+        power = describe_powers(summary["mean"].get("power", {}))
         titles = (*TABLE_TWO_TITLES, *(("power W", "N/W") if power else ()))
         rows = [[f"Table II, {name}", *titles]]
         notes = [""]
@@ -128,7 +122,7 @@ def _scores(row: MeanScores, decimals: int) -> list[str]:
         errors = row[axis]["error_seeds_n"]
         error = f"{row[axis]['error_n']:.{decimals}f} {over_seeds(interval, errors, decimals)}"
         cells += [error.rstrip(), f"{row[axis]['std_n']:.{decimals}f}"]
-    power = supply_power(row)
+    power = supply_power(row.get("power", {}))
     return cells if power is None else [*cells, f"{power['mean_w']:.2f}", force_per_watt(power)]
 
 
