@@ -101,7 +101,9 @@ def measured_power(
     mechanical = np.asarray(channels.get(LOAD_CHANNELS[-1], unknown)) * velocity
     electrical = unknown
     if motor is not None and CURRENT_CHANNEL in channels:
-        electrical = electrical_power(channels[CURRENT_CHANNEL], velocity, motor)
+        # Drives report the current over the time since the previous reading.
+        between = tick_velocity(velocity)
+        electrical = electrical_power(channels[CURRENT_CHANNEL], between, motor)
     return np.stack([mechanical, electrical], axis=1)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
-from softfin.core.power import Motor, electrical_power
+from softfin.core.power import Motor, electrical_power, tick_velocity
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.safety import Trip
@@ -94,7 +94,11 @@ def _electrical_power(machine: Machine, samples: Sequence[Sample]) -> float:
     motor: Motor | None = getattr(machine, "motor", None)
     # A missing current becomes NaN.
     current, velocity = np.array([(each.current, each.velocity) for each in samples], float).T
-    return math.nan if motor is None else float(electrical_power(current, velocity, motor).mean())
+    return (
+        math.nan
+        if motor is None
+        else float(electrical_power(current, tick_velocity(velocity), motor).mean())
+    )
 
 
 class LiveReference:
