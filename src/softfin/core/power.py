@@ -16,9 +16,6 @@ from jaxtyping import Float
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import AnyArray
 
-POWERS = ("mechanical", "electrical")
-"""Names of the powers, in the order of the last axis of arrays."""
-
 
 class Motor(NamedTuple):
     """Motor and gear of a drive."""
@@ -85,9 +82,8 @@ def drive_power(
     """
     rate = tick_velocity(velocity)
     current = motor_current(torque, rate, motor)
-    mechanical = mechanical_power(torque[:, :1], velocity)[:, 0]
-    xp = velocity.__array_namespace__()
-    return xp.stack([mechanical, electrical_power(current, rate, motor)], axis=-1)
+    powers = [torque[:, 0] * rate, electrical_power(current, rate, motor)]
+    return velocity.__array_namespace__().stack(powers, axis=-1)
 
 
 def measured_power(
@@ -97,14 +93,14 @@ def measured_power(
 ) -> Float[np.ndarray, "rows 2"]:
     """Return the mechanical and electrical power in each row of a log [W], from its channels for
     torque and current; NaN without the channel, and without a `motor` for the electrical power."""
-    unknown = np.full(velocity.shape, math.nan)
-    mechanical = np.asarray(channels.get(LOAD_CHANNELS[-1], unknown)) * velocity
-    electrical = unknown
+    powers = np.full((*velocity.shape, 2), math.nan)
+    if LOAD_CHANNELS[-1] in channels:
+        powers[:, 0] = channels[LOAD_CHANNELS[-1]] * velocity
     if motor is not None and CURRENT_CHANNEL in channels:
         # Drives report the current over the time since the previous reading.
-        between = tick_velocity(velocity)
-        electrical = electrical_power(channels[CURRENT_CHANNEL], between, motor)
-    return np.stack([mechanical, electrical], axis=1)
+        current = channels[CURRENT_CHANNEL]
+        powers[:, 1] = electrical_power(current, tick_velocity(velocity), motor)
+    return powers
 
 
 class MeanPower(TypedDict):
@@ -126,7 +122,7 @@ def mean_powers(thrust_n: float, means_w: Sequence[float]) -> dict[str, MeanPowe
             "force_per_watt_n": thrust_n / mean_w if mean_w > 0 else None,
             "per_minute_j": 60 * mean_w,
         }
-        for name, mean_w in zip(POWERS, map(float, means_w), strict=True)
+        for name, mean_w in zip(("mechanical", "electrical"), means_w, strict=True)
         if math.isfinite(mean_w)
     }
 

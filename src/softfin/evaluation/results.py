@@ -27,22 +27,14 @@ class AxisScores(TypedDict):
     reading_error_seeds_n: NotRequired[list[float]]
 
 
-class PowerScores(MeanPower):
-    """Mean power over whole experiments [W]: its 95% interval over the repetitions, and all
-    values."""
-
-    interval_w: list[float] | None
-    seeds_w: list[float]
-
-
 class MeanScores(TypedDict):
     """Scores for one reference, or their mean over all references."""
 
     x: AxisScores
     y: AxisScores
     shaft_travel_rad_s: float
-    power: NotRequired[dict[str, PowerScores]]
-    """Mechanical power on the fin and electrical power of its motor, if known."""
+    power: NotRequired[dict[str, MeanPower]]
+    """Mean mechanical power on the fin and electrical power of its motor, if known."""
 
 
 class ReferenceScores(MeanScores):

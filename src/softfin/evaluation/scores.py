@@ -32,11 +32,11 @@ from jaxtyping import Array, Float
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, State
-from softfin.core.power import POWERS, mean_powers
+from softfin.core.power import mean_powers
 from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
-from softfin.evaluation.results import AxisScores, FeedbackScores, MeanScores, PowerScores
+from softfin.evaluation.results import AxisScores, FeedbackScores, MeanScores
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
@@ -120,36 +120,24 @@ def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
     )
     axes = []
     for axis in range(len(AXES)):
-        row: JsonObject = {}
+        own_scores: JsonObject = {}
         for name in ("error", "std", "raw_std", "reading_error"):
             values = getattr(chosen, name)
             if values is not None:
                 own = values[:, axis]
-                row[f"{name}_n"] = float(own.mean())
-                row[f"{name}_interval_n"] = interval(own)
-                row[f"{name}_seeds_n"] = own.tolist()
-        axes.append(cast(AxisScores, row))
+                own_scores[f"{name}_n"] = float(own.mean())
+                own_scores[f"{name}_interval_n"] = interval(own)
+                own_scores[f"{name}_seeds_n"] = own.tolist()
+        axes.append(cast(AxisScores, own_scores))
     x, y = axes
-    row = {
+    row: MeanScores = {
         "x": x,
         "y": y,
         "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
     }
-    if chosen.power is not None and (power := power_scores(chosen.thrust, chosen.power)):
-        row["power"] = power
-    return cast(MeanScores, row)
-
-
-def power_scores(
-    thrust: Float[np.ndarray, "seeds"], power: Float[np.ndarray, "seeds 2"]
-) -> dict[str, PowerScores]:
-    """Return the scores of the known powers [W] at mean forces [N]."""
-    means = mean_powers(float(thrust.mean()), power.mean(axis=0).tolist())
-    seeds = dict(zip(POWERS, power.T, strict=True))
-    return {
-        name: {**mean, "interval_w": interval(seeds[name]), "seeds_w": seeds[name].tolist()}
-        for name, mean in means.items()
-    }
+    if chosen.power is not None:
+        row["power"] = mean_powers(float(chosen.thrust.mean()), chosen.power.mean(axis=0).tolist())
+    return row
 
 
 def scores_together(each: Sequence[Scores]) -> Scores:

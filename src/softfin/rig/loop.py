@@ -17,9 +17,10 @@ import numpy as np
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
-from softfin.core.power import Motor, electrical_power, tick_velocity
+from softfin.core.log_channels import CURRENT_CHANNEL
+from softfin.core.power import measured_power
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.machine import Machine, Sample, Target
+from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line
 from softfin.rig.shaft_torque import Drive, ShaftTorque
@@ -82,23 +83,12 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
+        # Only a rig has a configured drive. A missing current becomes NaN.
+        motor = getattr(session.machine, "motor", None)
+        drive = np.array([(each.current, each.velocity) for each in samples], float).T
+        electrical = measured_power({CURRENT_CHANNEL: drive[0]}, drive[1], motor)[:, 1].mean()
         mechanical = math.nan if torques[0] is None else torques[0][1]
-        power = (mechanical, _electrical_power(session.machine, samples))
-        yield ActionResult(reference, target, samples, found, power)
-
-
-def _electrical_power(machine: Machine, samples: Sequence[Sample]) -> float:
-    """Return the mean electrical power of an action [W]; NaN if the motor or a current is
-    unknown."""
-    # Only a rig has a configured drive.
-    motor: Motor | None = getattr(machine, "motor", None)
-    # A missing current becomes NaN.
-    current, velocity = np.array([(each.current, each.velocity) for each in samples], float).T
-    return (
-        math.nan
-        if motor is None
-        else float(electrical_power(current, tick_velocity(velocity), motor).mean())
-    )
+        yield ActionResult(reference, target, samples, found, (mechanical, float(electrical)))
 
 
 class LiveReference:

@@ -626,34 +626,27 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
     """Find torques and currents with which power would be wrong."""
     if log.moving.sum() < MIN_ALIGNED_S * RATE_HZ:
         return
-    measured = {}
-    for column in (LOAD_CHANNELS[-1], CURRENT_CHANNEL):
-        if column not in log.channels:
-            continue
-        values = np.asarray(log.channels[column], float)[log.moving]
-        if not np.ptp(values):
-            message = f"always {values[0]:.4g} while the fin is moving, so it is not measured"
-            yield log.issue("warning", "constant", column, message, "remove the column")
-        else:
-            measured[column] = values - values.mean()
-    if LOAD_CHANNELS[-1] not in measured:
-        return
+    moving = {name: np.asarray(values)[log.moving] for name, values in log.channels.items()}
     column = LOAD_CHANNELS[-1]
-    torque = measured[column]
-    force = np.stack([log.calm.force_x, log.calm.force_y], axis=1)[log.moving]
-    force -= force.mean(axis=0)
-    lever_m = torque.std() / np.linalg.norm(force.std(axis=0))
-    power_w = float(np.mean(torque * log.columns.velocity[log.moving]))
-    rest = torque - force @ np.linalg.lstsq(force, torque)[0]
+    for name in (column, CURRENT_CHANNEL):
+        if name in moving and not np.ptp(moving[name]):
+            message = f"always {moving.pop(name)[0]:.4g} while the fin is moving: not measured"
+            yield log.issue("warning", "constant", name, message, "remove the column")
+    if column not in moving:
+        return
+    torque = moving[column] - moving[column].mean()
+    force = log.columns.force[log.moving]
+    force -= force.mean()
+    parts = np.stack([force.real, force.imag], axis=1)
+    share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
+    lever_m = torque.std() / force.std()
+    power_w = np.mean(torque * log.columns.velocity[log.moving])
     if lever_m > MAX_LEVER_M:
         message = f"a torque of this size corresponds to a lever of {lever_m:.3g} m"
         fix = "if it is in N mm, name its unit, e.g. torque_mNm, or divide the column by 1,000"
         yield log.issue("warning", "torque unit", column, message, fix)
-    elif rest.var() < (1 - MAX_FORCE_SHARE) * torque.var():
-        message = (
-            f"proportional to the force ({1 - rest.var() / torque.var():.1%}), as the torque about "
-            "an axis across the shaft is"
-        )
+    elif share > MAX_FORCE_SHARE:
+        message = f"proportional to the force ({share:.1%}), like a torque about x or y"
         fix = "use the torque about the shaft, with --columns torque=COLUMN"
         yield log.issue("warning", "torque axis", column, message, fix)
     elif power_w < 0:
