@@ -54,6 +54,7 @@ def run_controller(
     `shaft_torque` measures the torques (default: without warnings).
     """
     shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
+    shaft_torque.start()
     clock = controller_clock(controller)
     durations = clock.ticks
     state = controller.init()
