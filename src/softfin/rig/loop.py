@@ -77,6 +77,10 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
+        if found is not None and session.recorder is not None:
+            session.recorder.estimate(
+                session.pace.clock(), found.force, found.half_width, found.level
+            )
         yield ActionResult(reference, target, samples, found)
 
 
