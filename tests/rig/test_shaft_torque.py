@@ -38,13 +38,13 @@ def drag(velocity):
     return 0.4 + DRAG_NM_S * velocity
 
 
-def made(constant_nm_a=None, rest_nm=0.0, is_needed=False):
+def made(constant_nm_a=None, rest_nm=0.0, uses=None):
     machine = FreeFin()
     machine.torque_constant_nm_a = constant_nm_a
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     session.at_rest = action(torque=lambda velocity: rest_nm)
     warnings = []
-    return ShaftTorque(session, warnings.append, is_needed), warnings
+    return ShaftTorque(session, warnings.append, uses), warnings
 
 
 def test_the_torque_of_the_sensor_is_relative_to_its_value_at_rest():
@@ -77,15 +77,37 @@ def test_the_torque_is_that_of_the_action_although_the_sensor_is_late():
 
 
 def test_neither_sensor_nor_current_is_no_torque():
-    torques, warnings = made(CONSTANT_NM_A, is_needed=True)
-    assert torques.means(action()) == (None, None)
+    torques, warnings = made(CONSTANT_NM_A, uses="both")
+    for _ in range(30):
+        assert torques.means(action()) == (None, None)
     assert not warnings
 
 
-@pytest.mark.parametrize(("is_needed", "lines"), [(True, 1), (False, 0)])
-def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(is_needed, lines):
-    torques, warnings = made(is_needed=is_needed)
-    for _ in range(3):
+@pytest.mark.parametrize("first", [None, drag])
+def test_feedback_that_needs_a_torque_says_once_that_there_is_none(first):
+    torques, warnings = made(CONSTANT_NM_A, uses="torque")
+    torques.means(action(torque=first))
+    for _ in range(30):
+        torques.means(action())
+    assert len(warnings) == (first is None)
+    assert all("no torque is measured" in line and "\n" not in line for line in warnings)
+
+
+def test_the_delay_of_an_experiment_does_not_affect_the_next():
+    torques, _ = made()
+    samples = [
+        each._replace(wrench=(each.velocity, *each.wrench[1:])) for each in action(delay_ticks=3)
+    ]
+    first = torques.force(samples, 6)
+    assert torques.force(action(), 6) != (1.0, 0.5)
+    torques.start()
+    assert torques.force(samples, 6) == first
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("both", 1), ("torque", 1), (None, 0)])
+def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(uses, lines):
+    torques, warnings = made(uses=uses)
+    for _ in range(30):
         assert torques.means(action(current=drag)) == (None, None)
     assert len(warnings) == lines
     assert all("drive.torque_constant_nm_a" in line for line in warnings)

@@ -136,8 +136,14 @@ def load_family(path: Path, controller: LoadedController) -> Family | None:
     try:
         family = Family(**{name: np.asarray(part, np.float32) for name, part in arrays.items()})
         actions = controller.clock.window_actions
-        expected = (family.nominal.shape[:2], actions, len(FEATURES))
-        found = (family.nominal_noise.shape[:2], *family.nominal.shape[2:])
+        grid = family.nominal.shape[:2]
+        motor = MOTOR_FEATURES.stop - MOTOR_FEATURES.start
+        expected = (grid, actions, len(FEATURES), (*grid, actions, motor))
+        found = (
+            family.nominal_noise.shape[:2],
+            *family.nominal.shape[2:],
+            family.friction.shape,
+        )
         coefficients = family.features.shape[3]
         if expected != found or coefficients != family.coefficients:
             raise ValueError(f"arrays of shape {found}, must be {expected}")

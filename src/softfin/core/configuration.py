@@ -61,8 +61,8 @@ class Configuration(pydantic.BaseModel, metaclass=_OneLineErrors):
         return Changes(None, dict(change.split("=", 1) for change in changes)).apply(self)
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
-        """Return a copy with a mapping, such as part of a YAML file, merged into it. Fields that are
-        set in neither remain unset (`model_fields_set`)."""
+        """Return a copy with a mapping, such as part of a YAML file, merged into it. Fields that
+        are set in neither remain unset (`model_fields_set`)."""
         return self.build(_merge(self, values), source)
 
 
@@ -191,9 +191,10 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(one_line(error)) from None
 
 
-def _merge(base: Configuration | JsonObject, over: Mapping[str, object]) -> JsonObject:
-    before = dict(base)
-    values = base.model_dump(exclude_unset=True) if isinstance(base, Configuration) else base
+def _merge(base: Any, over: Mapping[str, object]) -> JsonObject:
+    is_model = isinstance(base, Configuration)
+    before: JsonObject = vars(base) if is_model else base
+    values: JsonObject = base.model_dump(exclude_unset=True) if is_model else base
     return values | {
         key: _merge(before[key], value)
         if isinstance(before.get(key), Configuration | dict) and isinstance(value, Mapping)

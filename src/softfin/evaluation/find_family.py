@@ -23,7 +23,7 @@ from softfin.core.progress import Progress, silent
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
 from softfin.evaluation.experiment import simulate
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.reachable import Reachable, cell_corners
 from softfin.tank.randomization import DomainRandomization, sample_tank
 from softfin.tank.tank import Tank
 
@@ -31,8 +31,8 @@ STEADY_WINDOWS = 3
 """Number of windows to run from rest; the last one is tabulated."""
 
 OUTSIDE_WEIGHT = 0.3
-"""Weight of nodes outside the reach in the components, relative to other nodes. Nodes outside the
-reach are moved to its edge."""
+"""Weight of nodes outside the reach or the cells of the controller in the components, relative to
+other nodes. They are moved to the edge."""
 
 BATCH = 128
 """Number of references that are simulated in parallel."""
@@ -111,14 +111,24 @@ def find_family(
         axes = np.linspace(box.low, box.high, nodes)
         return np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
+    def trackable(
+        references: Float[np.ndarray, "references 2"],
+    ) -> Float[np.ndarray, "references 2"]:
+        """Move references into the reach, then into the nearest cell of the controller."""
         inside = np.asarray(reachable.project(references), np.float32)
-        found: _Steady = _run_references(controller, fin, jnp.asarray(inside))
+        if not controller.cells:
+            return inside
+        within = np.clip(inside[:, None], *cell_corners(controller.cells))
+        nearest = np.linalg.norm(within - inside[:, None], axis=2).argmin(axis=1)
+        return np.asarray(within[np.arange(len(inside)), nearest])
+
+    def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
+        found: _Steady = _run_references(controller, fin, jnp.asarray(trackable(references)))
         return _Steady(*map(np.asarray, found))
 
     fine = run(tank, lattice(config.nominal_nodes))
     coarse = lattice(config.nodes)
-    between = _references_between(coarse, reachable)
+    between = trackable(_references_between(coarse, reachable))
     nominal = [run(tank, coarse), run(tank, between)]
     fitted: list[list[_Steady]] = []
     held_out: list[list[_Steady]] = []
@@ -131,7 +141,7 @@ def find_family(
         ]
         (fitted if len(places) == 1 else held_out).append(changes)
         progress("family", (index + 1) / config.fins, f"fin {index + 1} of {config.fins}")
-    moved = np.linalg.norm(reachable.project(coarse) - coarse, axis=1)
+    moved = np.linalg.norm(trackable(coarse) - coarse, axis=1)
     weights = np.where(moved > 0.1 * reachable.reach_n, OUTSIDE_WEIGHT, 1.0)
     components = _components([changes[0] for changes in fitted], weights, config.coefficients)
     shape = (config.nominal_nodes, config.nominal_nodes)

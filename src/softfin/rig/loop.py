@@ -61,6 +61,7 @@ def run_controller(
     `shaft_torque` measures the torques (default: without warnings).
     """
     shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
+    shaft_torque.start()
     clock = controller_clock(controller)
     durations = clock.ticks
     state = controller.init()
@@ -83,6 +84,10 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
+        if found is not None and session.recorder is not None:
+            session.recorder.estimate(
+                session.pace.clock(), found.force, found.half_width, found.level
+            )
         # Only a rig has a configured drive. A missing current becomes NaN.
         motor = getattr(session.machine, "motor", None)
         drive = np.array([(each.current, each.velocity) for each in samples], float).T

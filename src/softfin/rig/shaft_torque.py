@@ -20,6 +20,10 @@ from softfin.rig.session import MeasuredForce, Session, Warn
 STROKE_RAD = 0.1
 """Shaft motion within an action above which a constant torque reading is rejected [rad]."""
 
+UNMEASURED_ACTIONS = 12
+"""Number of actions without any torque after which feedback from torque is reported to be
+impossible."""
+
 JUDGED_S = 60.0
 """Time in motion after which the mean power of a torque must be positive [s], because the fin
 absorbs power."""
@@ -33,14 +37,19 @@ Drive: TypeAlias = tuple[float, float]
 class ShaftTorque:
     """Torques during the actions of one session.
 
-    `warn` is called once per torque with the wrong sign. With `is_needed`, it is also called once
-    if the motor current is measured but cannot be used because the torque constant is unknown.
+    `warn` is called once per torque with the wrong sign. With feedback, it is also called once if
+    the motor current cannot be used because the torque constant is unknown, or if feedback needs a
+    torque and none is measured.
     """
 
-    def __init__(self, session: Session, warn: Warn, is_needed: bool = False) -> None:
+    def __init__(self, session: Session, warn: Warn, uses: str | None = None) -> None:
+        """Start; `uses` is `FeedbackConfig.uses`, or None without feedback."""
         self._session = session
         self._warn = warn
-        self._is_needed = is_needed
+        self._uses = uses
+        """None after a missing torque has been reported."""
+        self._missing = 0
+        """Number of actions since the start without a torque."""
         self._delayed: list[_Series] = []
         """Effect of the delay on the mean force of the last actions [N]."""
         self._sensed = _Torque(
@@ -55,6 +64,10 @@ class ShaftTorque:
             "towards positive angles",
             warn,
         )
+
+    def start(self) -> None:
+        """Forget the forces of the previous experiment."""
+        self._delayed = []
 
     def force(self, samples: Sequence[Sample], window_actions: int) -> MeasuredForce:
         """Return the mean force (x, y) over the samples of an action [N], corrected for the delay
@@ -90,10 +103,24 @@ class ShaftTorque:
         torque = on_time(time, force_time, torque)
         # Currents are means over the time since the previous sample.
         between = np.interp(time - TICK_S / 2, time, velocity)
-        return (
-            self._sensed.mean(torque, velocity, is_moving),
-            self._motor.mean(self._constant(current) * current, between, is_moving),
-        )
+        shaft = self._sensed.mean(torque, velocity, is_moving)
+        motor = self._motor.mean(self._constant(current) * current, between, is_moving)
+        if self._uses == "torque":
+            self._check_measured(shaft is not None or motor is not None)
+        return shaft, motor
+
+    def _check_measured(self, is_measured: bool) -> None:
+        """Warn once if no torque is measured at the start."""
+        self._missing += 1
+        if is_measured:
+            self._uses = "both"
+        elif self._missing == UNMEASURED_ACTIONS:
+            self._uses = None
+            self._warn(
+                "feedback.uses = torque: no torque is measured, so feedback has only the shaft "
+                "angle and can correct little; set drive.torque_constant_nm_a in the rig file, use "
+                "a sensor that measures the torque about the shaft, or use --feedback.uses force"
+            )
 
     def _constant(self, current: _Series) -> float:
         """Return the torque constant [N m/A]; NaN if it is unknown."""
@@ -101,8 +128,8 @@ class ShaftTorque:
         constant_nm_a = getattr(self._session.machine, "torque_constant_nm_a", None)
         if constant_nm_a is not None:
             return float(constant_nm_a)
-        if self._is_needed and np.isfinite(current).any():
-            self._is_needed = False
+        if self._uses is not None and np.isfinite(current).any():
+            self._uses = None
             self._warn(
                 "the motor current: not used for feedback, because the torque constant is unknown; "
                 "set drive.torque_constant_nm_a in the rig file (docs/rig.md)"

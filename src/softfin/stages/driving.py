@@ -164,7 +164,8 @@ class Drive(NamedTuple):
         was_strange = False
         clock = controller.clock
         actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
-        torque = ShaftTorque(session, say, isinstance(controller, Feedback))
+        uses = controller.config.uses if isinstance(controller, Feedback) else None
+        torque = ShaftTorque(session, say, uses)
         for result in run_controller(session, controller, references, actions, zero, torque):
             window = [*window, result][-clock.window_actions :]
             x, y = mean_force([sample for each in window for sample in each.samples])

@@ -186,7 +186,8 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            torque = ShaftTorque(session, warn, config.feedback is not None)
+            uses = None if config.feedback is None else config.feedback.uses
+            torque = ShaftTorque(session, warn, uses)
             target = LiveFin(session, acting, robot, progress, torque)
             metadata = {"plant": str(target), "randomization": None}
             return evaluate_controllers(
