@@ -285,7 +285,8 @@ def test_a_policy_does_not_repeat_so_its_windows_count_less() -> None:
         kind = "single"
 
     (gaits, policy) = (Feedback(each).newtons for each in (Carrier(), Policy()))
-    assert gaits is not None and policy is not None
+    assert gaits is not None
+    assert policy is not None
     assert policy.noise_n == 10 * gaits.noise_n
 
 
