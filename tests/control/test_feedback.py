@@ -239,6 +239,21 @@ def test_a_sensor_that_jumps_is_not_taken_for_a_changed_fin(jump_n: float, actio
     assert np.asarray(estimates.level).max() < UNFAMILIAR
 
 
+def test_a_jump_of_the_sensor_does_not_decay() -> None:
+    """Over 20 min, whereas the drift tends to 0."""
+    sensor = np.where((np.arange(3600) < 120)[:, None], (0.0, 0.0), (2.0, -2.0))
+    force, estimates = run(Feedback(Carrier(), family=FAMILY), still(3600), 0, sensor)
+    np.testing.assert_allclose(window(force, 3600), 1, atol=0.03)
+    np.testing.assert_allclose(np.asarray(estimates.drift)[-1], (2.0, -2.0), atol=0.04)
+
+
+def test_without_drift_every_error_is_that_of_the_fin() -> None:
+    sensor = np.where((np.arange(240) < 120)[:, None], (0.0, 0.0), (0.5, -0.5))
+    config = FeedbackConfig(drift_n=0.0)
+    force, _ = run(Feedback(Carrier(), config, FAMILY), still(240), 0, sensor)
+    np.testing.assert_allclose(window(force + sensor, 240), 1, atol=0.1)
+
+
 def test_a_fin_that_changes_while_the_sensor_has_jumped_is_corrected() -> None:
     changed = np.where((np.arange(360) < 240)[:, None], (0.0, 0.0), (1.0, -0.7))
     sensor = np.where((np.arange(360) < 120)[:, None], (0.0, 0.0), (0.5, 0.3))

@@ -23,12 +23,13 @@ family, the filter has no such pattern, and only time separates r from d: r exis
 whereas d grows over time. The filter then mistakes slow changes of the fin for drift.
 
 After each window, the filter compares the likelihoods of three explanations: nothing sudden, a
-sudden change of the fin, and a jump of the sensor. A change makes c and g, and a jump makes d, as
-uncertain as before any measurement. The window in which it happened is skipped, because it is
-partly that from before, and the next one decides. If no coefficients explain the pattern, the fin
-is outside the family (a torn fin, a blocked shaft or weed). The noise of the pattern is then raised
-to the observed level, so that the mean force of the window dominates, and r becomes uncertain, too.
-`Estimate.level` reports the observed level.
+sudden change of the fin, and a jump of the sensor. A change makes c and g as uncertain as before
+any measurement, and a jump makes d more uncertain than the drift. Unless a constant change explains
+the window in which it happened, the window is skipped, because it is partly that from before, and
+the next one decides. If no coefficients explain the pattern, the fin is outside the family (a torn
+fin, a blocked shaft or weed). The noise of the pattern is then raised to the observed level, so
+that the mean force of the window dominates, and r becomes uncertain, too. `Estimate.level` reports
+the observed level.
 
 The corrected reference x solves x + bias(x) = reference by fixed-point iteration, within the
 controller's cells and the reachable forces.
@@ -78,8 +79,8 @@ REPEATED = 20.0
 part is the same in all of these windows, so it does not average out."""
 
 NEW_REFERENCE = 0.1
-"""Distance from the reference of the last used window at which a window counts as new, as a
-fraction of the reach [-]."""
+"""Distance from the reference of the last window at which a window counts as new, as a fraction of
+the reach [-]."""
 
 SUDDEN = 6.0
 """Excess of the squared normalized innovation over its expected value, in standard deviations,
@@ -93,11 +94,11 @@ FAR_SQUARED = 4.0
 """Square of a coefficient that is as strange as a level of 1: 4 standard deviations have the level
 `UNFAMILIAR`."""
 
+CLEAR = 1.5
+"""`Estimate.level` up to which a window with a sudden change is explained [-]."""
+
 JUMP_SHARE = 0.1
 """Prior standard deviation of a sudden change of the sensor, as a fraction of the reach [-]."""
-
-TINY_N = 1e-6
-"""Replaces a drift of zero, with which no sudden change is attributed to the sensor [N]."""
 
 POLICY_NOISE_N = 0.1
 """Default of `FeedbackConfig.noise_n` for policies on the paper's fin [N]."""
@@ -192,8 +193,10 @@ class FeedbackState(NamedTuple):
     """Corrected references of the last actions and of the next one [N]."""
     references: Array
     """Uncorrected references of the last actions and of the next one [N]."""
+    zero: Array
+    """Sum of the jumps of the sensor (x, y) [N]."""
     used: Array
-    """Mean corrected reference over the last window that was used [N]."""
+    """Mean corrected reference over the last window [N]."""
     was_mixed: Array
     """Whether something changed suddenly within the last window."""
     level: Number
@@ -289,6 +292,7 @@ class Feedback:
             seen=np.full((actions, len(FEATURES)), np.nan),
             tracked=np.zeros((actions + 1, 2)),
             references=np.zeros((actions + 1, 2)),
+            zero=np.zeros(2),
             used=np.full(2, np.inf),
             was_mixed=np.False_,
             level=1.0,
@@ -345,7 +349,7 @@ class Feedback:
         return Estimate(
             tracked + rows @ state.mean,
             HALF_90 * xp.sqrt(variance),
-            drift * state.mean[self._drifts],
+            state.zero + drift * state.mean[self._drifts],
             state.level,
         )
 
@@ -356,7 +360,7 @@ class Feedback:
 
     def _bias_rows(self, ops: Operations, reference: Array, near: Number) -> Array:
         """Return the derivatives of the force error (x, y) [N] with respect to the filter state;
-        `near` is the correlation of the local error with that of the last used window."""
+        `near` is the correlation of the local error with that of the last window."""
         xp = ops.xp
         assert self.newtons is not None
         force = xp.zeros((0, 2))
@@ -411,7 +415,9 @@ class Feedback:
         index = np.arange(self.size)
         forgotten = (index < coefficients) + self._is_place
         by_fin = covariance * (1 - forgotten)[:, None] * (1 - forgotten) + np.diag(forgotten)
-        by_sensor = covariance + np.diag(self._jump)
+        jump_n = JUMP_SHARE * self.reach_n
+        jump = (jump_n / self.config.drift_n) ** 2 if self.config.drift_n > 0 else 0.0
+        by_sensor = covariance + jump * np.diag(self._is_drift)
         nothing = correct(covariance, repeated, state.level)
         fin = correct(by_fin, repeated, state.level)
         sensor = correct(by_sensor, repeated, state.level)
@@ -420,9 +426,8 @@ class Feedback:
         gain = nothing.unlikely - xp.minimum(fin.unlikely, sensor.unlikely)
         is_sudden = is_far | (gain > LIKELIER)
         # Without a pattern, both explain a sudden change equally well.
-        is_sensor = (sensor.unlikely < fin.unlikely) & has_pattern
-        # A window in which something changed is partly that from before, so the next one decides.
-        is_mixed = is_sudden & xp.logical_not(state.was_mixed) & (state.used[0] != np.inf)
+        can_tell = has_pattern & has[:2].any() & (self.config.drift_n > 0)
+        is_sensor = (sensor.unlikely < fin.unlikely) & can_tell
         prior = xp.where(is_sudden, xp.where(is_sensor, by_sensor, by_fin), covariance)
         # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
@@ -434,16 +439,24 @@ class Feedback:
         implied = mean[:coefficients] + found.change[:coefficients]
         level = xp.maximum(level, (xp.concatenate([implied, np.ones(1)]) ** 2).max() / FAR_SQUARED)
         level = xp.maximum(level, 1.0)
+        # A window in which something changed is partly that from before. Unless a constant change
+        # explains it, the next one decides.
+        is_first = is_sudden & xp.logical_not(state.was_mixed)
+        is_mixed = is_first & (level > CLEAR) & (state.age > 2 * self.clock.window_actions)
         # If no coefficients explain the pattern, rely on the mean force.
         is_strange = is_sudden & ((level > UNFAMILIAR) | (coefficients == 0))
         opened = by_fin + np.diag((index < coefficients + 8).astype(float))
         found = correct(xp.where(is_strange, opened, prior), repeated, level)
         is_judged = has_pattern & xp.logical_not(is_mixed)
-        is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n) & xp.logical_not(is_mixed)
+        mean = xp.where(is_mixed, mean, mean + found.change)
+        # A jump remains, whereas the drift tends to 0.
+        is_jump = is_sudden & is_sensor & xp.logical_not(is_mixed)
+        jump = xp.where(is_jump, mean * self._is_drift, 0.0)
         return state._replace(
-            mean=xp.where(is_mixed, mean, mean + found.change),
+            mean=mean - jump,
             covariance=xp.where(is_mixed, covariance, (found.covariance + found.covariance.T) / 2),
-            used=xp.where(is_used, centre, state.used),
+            zero=state.zero + math.sqrt(2) * self.config.drift_n * jump[self._drifts],
+            used=centre,
             was_mixed=is_mixed,
             level=xp.where(is_judged, (state.level + level) / 2, state.level),
         )
@@ -472,11 +485,11 @@ class Feedback:
         return np.isin(index, (6, 7)).astype(float)
 
     @cached_property
-    def _jump(self) -> Float[np.ndarray, "states"]:
-        """Variance that a sudden change of the sensor adds to each state."""
-        jump = np.zeros(self.size)
-        jump[self._drifts] = (JUMP_SHARE * self.reach_n / max(self.config.drift_n, TINY_N)) ** 2
-        return jump
+    def _is_drift(self) -> Float[np.ndarray, "states"]:
+        """1 for the states of the drift, 0 for the others."""
+        is_drift = np.zeros(self.size)
+        is_drift[self._drifts] = 1.0
+        return is_drift
 
     @cached_property
     def _durations(self) -> Float[np.ndarray, "actions"]:
@@ -498,7 +511,7 @@ class Feedback:
         centre = durations @ tracked
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
-        force_error = durations @ seen[:, FORCE_FEATURES] - centre
+        force_error = durations @ seen[:, FORCE_FEATURES] - centre - state.zero
         force_variance = (newtons.noise_n**2 + moved**2) * np.ones(2)
         place = newtons.rest_n * np.eye(2)
         family = self.family
