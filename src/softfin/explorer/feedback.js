@@ -145,7 +145,7 @@ class Feedback {
     const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1, ...implied);
     this.used = centre;
     // A window in which something changed is partly that from before. Unless a constant change explains it, the next one decides.
-    const judges = this.age > 2 * WINDOW_ACTIONS && this.age - this.begun > WINDOW_ACTIONS;
+    const judges = this.age > 2 * WINDOW_ACTIONS && this.age - this.begun >= 2 * WINDOW_ACTIONS;
     if (sudden && !this.wasMixed && level > CLEAR && judges) {
       [this.mean, this.covariance, this.wasMixed] = [mean, covariance, true];
       return;
