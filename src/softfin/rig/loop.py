@@ -78,9 +78,8 @@ def run_controller(
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
         if found is not None and session.recorder is not None:
-            session.recorder.estimate(
-                session.pace.clock(), found.force, found.half_width, found.level
-            )
+            forces = [each.tolist() for each in (found.force, found.half_width)]
+            session.recorder.estimate(session.pace.clock(), *forces, float(found.level))
         yield ActionResult(reference, target, samples, found)
 
 
