@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CommandError, PlantError
+from softfin.core.power import mechanical_power
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
 # A clock may be part of a pytree and has no leaves. It is registered here because modules for the
@@ -233,9 +234,7 @@ def masked_mean(rows: Array, ticks: Ticks) -> Array:
 def mean_loads(torque: Array, velocity: Array, ticks: Ticks) -> tuple[Array, Array]:
     """Return the mean torque [N m] and power [W] over the valid rows of an action, first on the
     fin, then of the motor; `torque` is ``(rows, 2)``."""
-    # Torques are means over a tick, but velocities are values at its end.
-    before = jnp.concatenate([velocity[:1], velocity[:-1]])
-    power = torque * (before + velocity)[:, None] / 2
+    power = mechanical_power(torque, velocity)
     shaft, motor = masked_mean(jnp.stack([torque, power], axis=1), ticks).T
     return shaft, motor
 

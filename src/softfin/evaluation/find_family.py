@@ -13,6 +13,7 @@ from pydantic import Field
 
 from softfin.control.controller import LoadedController
 from softfin.control.family import MIN_FINS, Family
+from softfin.control.gait import GaitStep
 from softfin.control.pytrees import register_controllers
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -86,14 +87,20 @@ def find_family(
 ) -> Family:
     """Find the family of fins around a tank for a controller.
 
-    Raises ConfigurationError if the controller does not contain the reach of its fin.
+    Raises ConfigurationError if the controller is a policy or does not contain the reach of its
+    fin.
     """
     config = config or FamilyConfig()
+    if controller.kind != GaitStep.kind:
+        raise ConfigurationError(
+            f"{controller.artifact.name}: the motion of a policy does not repeat in every window, "
+            "so its pattern does not show how the fin has changed; use gaits (softfin map), or "
+            "--feedback without a family"
+        )
     reachable = controller.reachable
     if reachable is None:
         raise ConfigurationError(
-            f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin "
-            "map), or train the controller with a map"
+            f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin map)"
         )
     if not any(config.widths.model_dump().values()):
         raise ConfigurationError("widths: all are 0, so all fins are the same; set some of them")

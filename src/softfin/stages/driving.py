@@ -2,13 +2,17 @@
 
 import contextlib
 import functools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from softfin.control.controller import LoadedController
-from softfin.control.feedback import UNFAMILIAR, Estimate, Feedback, FeedbackConfig
+from softfin.control.feedback import Estimate, Feedback, FeedbackConfig
+from softfin.control.feedback_notes import FeedbackNotes
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller, load_feedback
 from softfin.core.configuration import Configuration, configure
@@ -24,6 +28,7 @@ from softfin.core.option_types import (
     Force,
     PathLike,
 )
+from softfin.core.power import describe_powers, mean_powers
 from softfin.core.quantities import RATE_HZ
 from softfin.core.result import Result
 from softfin.gaits.reachable import force_decimals
@@ -157,7 +162,7 @@ class Drive(NamedTuple):
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
         window: list[ActionResult] = []
         ticks = printed = 0
-        was_strange = False
+        notes = FeedbackNotes(controller)
         clock = controller.clock
         actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
         uses = controller.config.uses if isinstance(controller, Feedback) else None
@@ -187,10 +192,8 @@ class Drive(NamedTuple):
                     )
             if result.estimate is not None:
                 summary |= _estimate_summary(result.estimate)
-                is_strange = summary["level"] > UNFAMILIAR
-                if is_strange and not was_strange:
-                    say(UNFAMILIAR_NOTE)
-                was_strange = is_strange
+                for note in notes.on(result.estimate):
+                    say(note)
             errors = [
                 abs(mean - asked) for mean, asked in zip((x, y), result.reference, strict=True)
             ]
@@ -200,12 +203,9 @@ class Drive(NamedTuple):
                 "error_x_n": round(errors[0], 4),
                 "error_y_n": round(errors[1], 4),
             }
-
-
-UNFAMILIAR_NOTE = (
-    "feedback: the fin does not behave like any fin in its family, so feedback relies on the mean "
-    "force; check for damage, weed, a blocked shaft or a loose sensor"
-)
+            means_w = np.mean([each.power for each in window], axis=0).tolist()
+            if powers := mean_powers(math.hypot(x, y), means_w):
+                summary["power"] = powers
 
 
 def _described_estimate(estimate: Estimate, decimals: int) -> str:
@@ -242,9 +242,10 @@ def _said_when_stopped(bag: Path, summary: JsonObject) -> Iterator[None]:
 
 
 def _described(bag: Path, summary: JsonObject) -> str:
+    power = f"; {describe_powers(summary['power'])}" if "power" in summary else ""
     return (
         f"{bag}: {summary['seconds']:.1f} s, error over the last {summary['window_s']:g} s "
-        f"({summary['error_x_n']}, {summary['error_y_n']}) N"
+        f"({summary['error_x_n']}, {summary['error_y_n']}) N{power}"
     )
 
 
@@ -282,7 +283,7 @@ def run(
         overwrite: Replace an existing recording.
 
     Returns:
-        Path of the recording, and the errors over its last window.
+        Path of the recording, and the errors and the power over its last window.
 
     Raises:
         SafetyStop: If the fin was stopped.
@@ -353,7 +354,7 @@ def ros2(
         overwrite: Replace an existing recording.
 
     Returns:
-        Path of the recording, and the errors over its last window.
+        Path of the recording, and the errors and the power over its last window.
 
     Raises:
         SafetyStop: If the fin was stopped.
