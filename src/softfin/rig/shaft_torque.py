@@ -24,9 +24,9 @@ UNMEASURED_ACTIONS = 12
 """Number of actions without any torque after which feedback from torque is reported to be
 impossible."""
 
-SATURATED_SAMPLES = 5
-"""Number of samples at the maximum or minimum of an action at which a channel is treated as
-saturated. At the peak of a stroke, noise hardly ever repeats a value so often."""
+SATURATED_REPEATS = 4
+"""Number of times that a reading repeats its predecessor within an action at which a channel is
+treated as saturated; the noise of a sensor makes this unlikely."""
 
 ROUNDING = 1e-6
 """Difference of equal values after a filter, as a fraction of their range [-]."""
@@ -139,21 +139,21 @@ class ShaftTorque:
             self._warn(line)
 
     def _is_saturated(self, name: str, time: _Series, values: _Series) -> bool:
-        """Return whether a channel of the force sensor sits at its maximum or minimum in an action.
+        """Return whether a channel of the force sensor keeps its value for a part of an action.
 
         Currents need no such check: at the limit of the drive, they are still right.
         """
         values = values[np.diff(time, prepend=-math.inf) > 0]
-        limits = np.array([values.min(), values.max()])
-        span = limits[1] - limits[0]
-        at_limit = (np.abs(values - limits[:, None]) <= ROUNDING * span).sum(axis=1)
+        span = np.ptp(values)
+        is_equal = np.abs(np.diff(values, prepend=math.nan)) <= ROUNDING * span
+        repeats = np.convolve(is_equal, np.ones(SATURATED_REPEATS), "valid")
         # Channels that are constant throughout are frozen or not measured.
-        is_saturated = bool(span > 0 and at_limit.max() >= SATURATED_SAMPLES)
+        is_saturated = bool(span > 0 and repeats.max() == SATURATED_REPEATS)
         if is_saturated:
             self._report(
                 name,
-                f"{name}: saturated at {limits[at_limit.argmax()]:.3g}, so feedback does not use "
-                "it meanwhile; use a device with a larger range, or lower references",
+                f"{name}: saturated at {values[repeats.argmax()]:.3g}, so feedback does not use it "
+                "meanwhile; use a sensor with a larger range, or lower references",
             )
         return is_saturated
 
