@@ -53,7 +53,16 @@ def test_a_figure_that_may_be_newer_than_its_file_is_said_to_be_missing():
     assert text == f"not yet measured N, {documents.block('{demo.gaits.error:.1f}')} N\n"
 
 
-@pytest.mark.parametrize("name", [name for name in STEPS if "--feedback" in STEPS[name].words])
+FEEDBACK = [name for name in STEPS if "--feedback" in STEPS[name].words]
+
+
+def test_feedback_of_gaits_has_a_family_and_that_of_policies_has_none():
+    kinds = {name: "single" in name or "grid" in name for name in FEEDBACK}
+    assert {bool(STEPS[name].after) != is_policy for name, is_policy in kinds.items()} == {True}
+    assert set(kinds.values()) == {True, False}
+
+
+@pytest.mark.parametrize("name", [name for name in FEEDBACK if STEPS[name].after])
 def test_feedback_is_evaluated_after_the_search_for_the_family(name, tmp_path):
     each = STEPS[name]
     (family,) = each.after

@@ -196,12 +196,14 @@ def evaluation_seed(seed: int) -> int:
 
 
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
-    """Evaluation of a trained controller, with the noise, drift and tanks of its seed; with
-    feedback, after the step of `find_family`."""
+    """Evaluation of a trained controller, with the noise, drift and tanks of its seed; of gaits
+    with feedback, after the step of `find_family`."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
     seed = "" if controller.seed is None else f" --seed {evaluation_seed(controller.seed)}"
     command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
-    after = (_family_name(controller.name),) if "--feedback" in options else ()
+    # Policies have no family.
+    has_family = "--feedback" in options and controller.program == "map"
+    after = (_family_name(controller.name),) if has_family else ()
     return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny, after=after)
 
 

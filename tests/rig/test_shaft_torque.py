@@ -129,6 +129,51 @@ def test_a_channel_that_is_frozen_or_not_finite_is_no_torque_in_that_action_only
     assert None not in torques.means(action(torque=drag, current=drag))
 
 
+def clipped(velocity):
+    return min(drag(velocity), 0.5)
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("both", 1), (None, 0)])
+def test_a_torque_that_sits_at_a_limit_is_missing_meanwhile_and_noted_once(uses, lines):
+    torques, warnings = made(CONSTANT_NM_A, uses=uses)
+    for _ in range(3):
+        shaft, motor = torques.means(action(torque=clipped, current=clipped))
+        assert (shaft is None) == bool(lines)
+        assert motor is not None
+        assert None not in torques.means(action(torque=drag, current=drag))
+    assert len(warnings) == lines
+    assert all("torque_z: saturated at 0.5," in line and "\n" not in line for line in warnings)
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("force", 1), (None, 0)])
+def test_a_force_that_sits_at_a_limit_is_missing_meanwhile(uses, lines):
+    torques, warnings = made(uses=uses)
+
+    def pushed(limit):
+        return [
+            each._replace(wrench=(min(each.velocity, limit), *each.wrench[1:])) for each in action()
+        ]
+
+    x, y = torques.force(pushed(0.5), 6)
+    assert math.isnan(x) == bool(lines)
+    assert y == pytest.approx(0.5)
+    assert math.isfinite(torques.force(pushed(2.0), 6)[0])
+    assert len(warnings) == lines
+    assert all(line.startswith("force_x: saturated at 0.5,") for line in warnings)
+
+
+def test_a_slow_sensor_that_repeats_its_records_is_not_saturated():
+    torques, warnings = made(uses="both")
+    samples = action(torque=drag)
+    slow = [samples[10 * (index // 10)] for index in range(len(samples))]
+    held = [
+        each._replace(wrench=record.wrench, force_time=record.force_time)
+        for each, record in zip(samples, slow, strict=True)
+    ]
+    assert torques.means(held)[0] is not None
+    assert not warnings
+
+
 def test_a_current_that_is_missing_for_a_tick_is_no_torque():
     torques, _ = made(CONSTANT_NM_A)
     samples = action(current=drag)

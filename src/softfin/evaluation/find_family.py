@@ -31,7 +31,7 @@ STEADY_WINDOWS = 3
 """Number of windows to run from rest; the last one is tabulated."""
 
 OUTSIDE_WEIGHT = 0.3
-"""Weight of nodes outside the reach or the cells of the controller in the components, relative to
+"""Weight of nodes outside the reach or the cell of the gaits in the components, relative to
 other nodes. They are moved to the edge."""
 
 BATCH = 128
@@ -111,16 +111,10 @@ def find_family(
         axes = np.linspace(box.low, box.high, nodes)
         return np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def trackable(
-        references: Float[np.ndarray, "references 2"],
-    ) -> Float[np.ndarray, "references 2"]:
-        """Move references into the reach, then into the nearest cell of the controller."""
-        inside = np.asarray(reachable.project(references), np.float32)
-        if not controller.cells:
-            return inside
-        within = np.clip(inside[:, None], *cell_corners(controller.cells))
-        nearest = np.linalg.norm(within - inside[:, None], axis=2).argmin(axis=1)
-        return np.asarray(within[np.arange(len(inside)), nearest])
+    def trackable(references: Float[np.ndarray, "nodes 2"]) -> Float[np.ndarray, "nodes 2"]:
+        """Move references into the reach and the cell of the gaits."""
+        inside = np.clip(reachable.project(references), *cell_corners(controller.cells))
+        return np.asarray(inside, np.float32)
 
     def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
         found: _Steady = _run_references(controller, fin, jnp.asarray(trackable(references)))

@@ -85,9 +85,10 @@ def run_controller(
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
         if found is not None and session.recorder is not None:
-            session.recorder.estimate(
-                session.pace.clock(), found.force, found.half_width, found.level
-            )
+            force_n = found.force.tolist()
+            half_width_n = found.half_width.tolist()
+            level = float(found.level)
+            session.recorder.estimate(session.pace.clock(), force_n, half_width_n, level)
         # Only a rig has a configured drive. A missing current becomes NaN.
         motor = getattr(session.machine, "motor", None)
         drive = np.array([(each.current, each.velocity) for each in samples], float).T
