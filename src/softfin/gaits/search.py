@@ -24,7 +24,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from scipy.interpolate import RegularGridInterpolator
 
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant
+from softfin.core.plant import Plant, has_torque
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
 from softfin.gaits.gait import GaitSearchResult, GaitTable
@@ -38,7 +38,10 @@ from softfin.gaits.simulate import (
     Survey,
     action_to_pre_tanh,
     gait_families,
+    gait_powers,
     gait_sensitivity,
+    simulate_gait,
+    simulate_gait_with_power,
     strokes,
 )
 
@@ -58,6 +61,8 @@ class GaitConfig(Configuration):
     """Number of Gauss-Newton steps; the last `EXACT` steps reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
+    power: NonNegativeFloat = 0.0
+    """Weight of the mean power that the drive delivers to the fin, in the same directions [N/W]."""
     likeness: NonNegativeFloat = 1.0
     """Weight of the squared distance from the mean of the neighbours."""
     halvings: NonNegativeInt = 1
@@ -128,7 +133,13 @@ def find_gaits(
     shape = (*table.nodes, 2)
     force = np.asarray(nodes.out[:, :2] * size, np.float32).reshape(shape)
     smoothness = np.asarray(nodes.smoothness * size, np.float32).reshape(shape)
-    return GaitSearchResult(_filled(table, nodes), force, smoothness)
+    found = _filled(table, nodes)
+    power = None
+    if has_torque(plant):
+        actions = np.asarray(found.actions).reshape(-1, *found.actions.shape[2:])
+        power = gait_powers(plant, actions, config.cycles, named_key(0, "gaits"), survey.clock)
+        power = power.reshape(table.nodes)
+    return GaitSearchResult(found, force, smoothness, power)
 
 
 def _simulate(
@@ -136,7 +147,9 @@ def _simulate(
 ) -> GaitSensitivity:
     """Simulate gaits; forces and force gradients are divided by the fin size."""
     # The key is not a module constant: creating it starts JAX, which an import must not do.
-    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"), survey.clock)
+    key = named_key(0, "gaits")
+    simulate = simulate_gait_with_power if config.power else simulate_gait
+    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, key, survey.clock, simulate)
     size = np.float32(survey.reachable.size)
     return nodes._replace(
         out=nodes.out / size, slope=nodes.slope / size, smoothness=nodes.smoothness / size
@@ -176,7 +189,7 @@ def _search(
             nodes, scale = _restarted(nodes, target, scale, shape)
         moved = _stepped(nodes, target, scale, shape, config, exact)
         trial = _simulate(plant, survey, moved, config)
-        nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
+        nodes, scale = _better(nodes, trial, target, scale, config, exact)
         told(nodes, target)
     return nodes
 
@@ -202,7 +215,7 @@ def _between(
     for _ in range(EXACT):
         moved = _stepped(added, target, scale, (len(target), 1), config, True)
         trial = _simulate(plant, survey, moved, config)
-        added, scale = _better(added, trial, target, scale, 0.0)
+        added, scale = _better(added, trial, target, scale, config, True)
         told(added, target)
 
     def placed(old: AnyArray, added: AnyArray) -> AnyArray:
@@ -270,12 +283,20 @@ def _stepped(
 
     wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
     if not exact:
-        slope = config.smoothness * nodes.slope[:, 2]
+        slope = _cost(nodes.slope, config)
         slope += config.likeness * (nodes.pre_tanh - _neighbours(nodes.pre_tanh, shape))
         # The projection on the null space of J: (1 - J^T (J J^T)^-1 J) slope.
         free = slope - along(jnp.einsum("nij,nj->ni", across, slope))
         wanted -= _shortened(free, FREE_STEP)
     return nodes.pre_tanh + scale[:, None] * wanted
+
+
+def _cost(
+    outputs: Float[AnyArray, "nodes outputs *values"], config: GaitConfig
+) -> Float[AnyArray, "nodes *values"]:
+    """Return the weighted sum of the Sobolev term and the power, or of their gradients."""
+    cost = config.smoothness * outputs[:, 2]
+    return cost + config.power * outputs[:, 3] if config.power else cost
 
 
 @eqx.filter_jit
@@ -284,7 +305,8 @@ def _better(
     trial: GaitSensitivity,
     target: NodeForces,
     scale: StepScales,
-    smoothness: float,
+    config: GaitConfig,
+    exact: bool,
 ) -> tuple[GaitSensitivity, StepScales]:
     """For each node, keep the better of the current gait and the trial.
 
@@ -292,11 +314,14 @@ def _better(
     """
 
     def merit(nodes: GaitSensitivity) -> StepScales:
-        error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
-        return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
+        error: StepScales = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
+        if exact:
+            return error
+        cost: StepScales = jnp.maximum(error, ENOUGH_N) + _cost(nodes.out, config)
+        return cost
 
     # The tolerance allows steps towards the neighbours, which may increase the error slightly.
-    better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
+    better = merit(trial) < merit(nodes) + (0 if exact else ENOUGH_N)
     chosen = jax.tree.map(
         lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes
     )

@@ -8,7 +8,7 @@ gradient ascent.
 import math
 from collections.abc import Callable
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,9 @@ from pydantic import Field, PositiveInt
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit, map_in_threads
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant, hold
-from softfin.core.quantities import AnyArray, action_to_command
+from softfin.core.plant import Plant, hold, hold_with_hidden
+from softfin.core.power import mechanical_power
+from softfin.core.quantities import AnyArray, Command, action_to_command
 from softfin.core.randomness import named_key
 from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
@@ -72,6 +73,8 @@ class GaitResponse(NamedTuple):
     """Mean force over the last window [N]."""
     smoothness: Float[Array, "2"]
     """Sobolev term of the last window in the form `mean` [N]."""
+    power: Float[Array, ""] | None = None
+    """Mean power delivered to the fin in the last window [W]; None if not computed."""
 
 
 def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
@@ -97,8 +100,24 @@ def simulate_gait(
 ) -> GaitResponse:
     """Repeat a gait from rest, as in `steady_state_force`, and return the forces of the last
     window."""
+    return _last_window(steady_state_force(plant, gait, cycles, key, clock), clock)
+
+
+def simulate_gait_with_power(
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
+) -> GaitResponse:
+    """Return the forces like `simulate_gait`, and the power, for a plant that `has_torque`."""
+    commands = _repeated(plant, gait, cycles, clock)
+    _, (reading, hidden) = hold_with_hidden(plant, plant.init(key), commands, clock)
+    assert hidden.torque is not None
+    power = mechanical_power(hidden.torque[:, :1], jnp.asarray(reading.velocity))
+    mean_power = power[-clock.window_ticks :].mean()
+    return _last_window(jnp.asarray(reading.force), clock)._replace(power=mean_power)
+
+
+def _last_window(force: Float[Array, "ticks 2"], clock: ActionClock) -> GaitResponse:
     window = clock.window_ticks
-    last = steady_state_force(plant, gait, cycles, key, clock)[-window:]
+    last = force[-window:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(window)))
 
 
@@ -110,19 +129,57 @@ def steady_state_force(
     Windows shorter than 2 s are repeated for at least as long as windows of 2 s, because the time
     until the wake settles does not depend on the window.
     """
-    windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
-    actions = jnp.tile(jnp.asarray(gait), (windows, 1))
-    commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
+    commands = _repeated(plant, gait, cycles, clock)
     return jnp.asarray(hold(plant, plant.init(key), commands, clock)[1].force)
 
 
+def _repeated(plant: Plant, gait: Gait, cycles: int, clock: ActionClock) -> Command:
+    windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
+    actions = jnp.tile(jnp.asarray(gait), (windows, 1))
+    return jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
+
+
+def gait_powers(
+    plant: Plant,
+    gaits: Float[np.ndarray, "gaits actions 2"],
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+) -> Float[np.ndarray, "gaits"]:
+    """Return the mean power of each gait [W], for a plant that `has_torque`."""
+
+    def power(batch: Float[np.ndarray, "batch actions 2"]) -> np.ndarray:
+        return np.asarray(_powers(plant, jnp.asarray(batch), cycles, key, clock))
+
+    batches = map_in_threads(power, _batches(gaits, SIDE_BY_SIDE))
+    return np.concatenate(batches)[: len(gaits)]
+
+
+@jit("low")
+def _powers(
+    plant: Plant,
+    gaits: Float[Array, "gaits actions 2"],
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+) -> Any:
+    return jax.vmap(lambda gait: simulate_gait_with_power(plant, gait, cycles, key, clock).power)(
+        gaits
+    )
+
+
+SimulateGait = Callable[[Plant, Gait, int, PRNGKeyArray, ActionClock], GaitResponse]
+"""`simulate_gait` or `simulate_gait_with_power`."""
+
+
 class GaitSensitivity(NamedTuple):
-    """Mean forces and Sobolev terms of gaits, with their gradients."""
+    """Mean forces and costs of gaits, with their gradients."""
 
     pre_tanh: PreTanh
-    out: Float[AnyArray, "gaits 3"]
-    """Mean force (x, y) and the sum of both Sobolev terms [N]."""
-    slope: Float[AnyArray, "gaits 3 values"]
+    out: Float[AnyArray, "gaits outputs"]
+    """Mean force (x, y) and the sum of both Sobolev terms [N], and the mean power [W] if it is
+    minimized."""
+    slope: Float[AnyArray, "gaits outputs values"]
     """Gradient of `out` with respect to `pre_tanh`."""
     smoothness: Float[AnyArray, "gaits 2"]
     """Sobolev terms (x, y) [N]."""
@@ -135,13 +192,19 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits actions 2"]) -> PreTanh:
 
 
 def gait_sensitivity(
-    plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
+    plant: Plant,
+    pre_tanh: PreTanh,
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+    simulate: SimulateGait = simulate_gait,
 ) -> GaitSensitivity:
-    """Simulate gaits; also return the gradients of their forces."""
+    """Simulate gaits; also return the gradients of their forces, and of their power if `simulate`
+    returns it."""
 
     def simulate_batch(batch: PreTanh) -> GaitSensitivity:
         sensitivity: GaitSensitivity = jax.tree.map(
-            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock)
+            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock, simulate)
         )
         return sensitivity
 
@@ -163,15 +226,19 @@ def _respond(
     cycles: int,
     key: PRNGKeyArray,
     clock: ActionClock,
+    simulate: SimulateGait,
 ) -> GaitSensitivity:
-    def out(pre_tanh: Float[Array, "values"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-        got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(-1, 2), cycles, key, clock)
-        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
+    def out(pre_tanh: Float[Array, "values"]) -> tuple[Float[Array, "outputs"], Float[Array, "2"]]:
+        got = simulate(plant, jnp.tanh(pre_tanh).reshape(-1, 2), cycles, key, clock)
+        outputs = [got.force, got.smoothness.sum()[None]]
+        if got.power is not None:
+            outputs.append(got.power[None])
+        return jnp.concatenate(outputs), got.smoothness
 
     def each(pre_tanh: Float[Array, "values"]) -> GaitSensitivity:
-        # Reverse mode, because there are 3 outputs and at least 12 inputs.
+        # Reverse mode, because there are 3 or 4 outputs and at least 12 inputs.
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
-        slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
+        slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(len(value)))
         return GaitSensitivity(pre_tanh, value, slope, smoothness)
 
     found: GaitSensitivity = jax.vmap(each)(pre_tanh)

@@ -70,6 +70,7 @@ def map_forces(
     *,
     out: Annotated[PathLike, DIR],
     clock: Annotated[str | None, CLOCK] = None,
+    power: Annotated[float | None, Parameter(metavar="N/W")] = None,
     config: Config = None,
     overwrite: bool = False,
     progress: Annotated[Progress, HIDDEN] = silent,
@@ -81,6 +82,7 @@ def map_forces(
         out: Controller folder to write: the gaits, the forces that they produce, and a figure.
         clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the stroke time of the
             fin (default: paper, which is 3,2).
+        power: Weight of the power in the search for gaits, such as 1 (default: 0, smoothest gaits).
         config: `MapConfig`; its fields are options too, such as --nodes 200.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
@@ -103,7 +105,12 @@ def map_forces(
     from softfin.storage.registry import find_plant
     from softfin.surrogate.channels import learnt_from
 
-    settings = configure(MapConfig(), config, clock=chosen_clock and chosen_clock.model_dump())
+    settings = configure(
+        MapConfig(),
+        config,
+        clock=chosen_clock and chosen_clock.model_dump(),
+        gaits=None if power is None else {"power": power},
+    )
     simulated = find_plant(plant)
     force_map = find_force_map(simulated, settings, partial(progress, "map"))
     reachable = force_map.reachable

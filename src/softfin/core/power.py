@@ -1,0 +1,83 @@
+"""Power of a drive: what the fin takes from the shaft, and what the motor takes from its supply.
+
+Both are computed for each tick of 10 ms, for NumPy and JAX arrays. The fin returns power to the
+shaft during part of each stroke. On the shaft, this power counts as negative, so a mean over a run
+is the power that the water takes. The motor returns no power to its supply: electrical power is cut
+off at 0 in each tick, because a mean over a whole stroke would offset braking against driving.
+"""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Float
+
+from softfin.core.quantities import AnyArray
+
+
+class Motor(NamedTuple):
+    """Motor and gear of a drive."""
+
+    torque_constant_nm_a: float
+    """Torque at the fin per ampere without gear losses [N m/A]: that of the motor times the gear
+    ratio. It is also the back-EMF divided by the velocity of the fin [V/(rad/s)]."""
+    winding_ohm: float
+    """Winding resistance from phase to phase [ohm]."""
+    gear_efficiency: float
+    """Efficiency of the gear, in both directions [-]."""
+
+
+EC_MAX_30 = Motor(111 * 0.0259, 1.27 * (25.9 / 24.2) ** 2, 0.7)
+"""Drive of the virtual tank: a maxon EC-max 30 (60 W) with a gearhead GP 32 C of 111:1. In the
+maxon catalogue, the 24 V winding has 1.27 ohm and 24.2 mN m/A, and the gearhead an efficiency of
+70%. The tank has 25.9 mN m/A; a winding with this constant and the same losses has 1.45 ohm."""
+
+
+def tick_velocity(velocity: Float[AnyArray, "*runs ticks"]) -> Any:
+    """Return the mean velocity within each tick, of velocities at the ends of the ticks."""
+    xp = velocity.__array_namespace__()
+    before = xp.concat([velocity[..., :1], velocity[..., :-1]], axis=-1)
+    return (before + velocity) / 2
+
+
+def mechanical_power(
+    torque: Float[AnyArray, "ticks loads"], velocity: Float[AnyArray, "ticks"]
+) -> Any:
+    """Return the power [W] of mean torques over each tick [N m] at the velocity after each tick
+    [rad/s]."""
+    return torque * tick_velocity(velocity)[:, None]
+
+
+def motor_current(torque: Float[AnyArray, "*ticks 2"], velocity: AnyArray, motor: Motor) -> Any:
+    """Return the motor current [A] for mean torques on the fin and of the motor [N m] at a mean
+    velocity [rad/s]. The gear loses power in the direction of its flow."""
+    xp = velocity.__array_namespace__()
+    shaft = torque[..., 0]
+    efficiency = motor.gear_efficiency
+    loss = shaft * xp.where(shaft * velocity > 0, 1 / efficiency, efficiency) - shaft
+    return (torque[..., 1] + loss) / motor.torque_constant_nm_a
+
+
+def electrical_power(current: AnyArray, velocity: AnyArray, motor: Motor) -> Any:
+    """Return the power that the motor takes [W] at a current [A] and a velocity of the fin [rad/s]:
+    heat in the winding and power of the rotor, or 0 if the sum is negative."""
+    power = current * (motor.winding_ohm * current + motor.torque_constant_nm_a * velocity)
+    return power.__array_namespace__().where(power > 0, power, 0)
+
+
+def drive_power(
+    torque: Float[AnyArray, "ticks 2"], velocity: Float[AnyArray, "ticks"], motor: Motor = EC_MAX_30
+) -> Any:
+    """Return the mechanical power on the fin and the electrical power of the motor in each tick,
+    ``(ticks, 2)`` [W].
+
+    Parameters
+    ----------
+    torque
+        Mean torques over each tick, on the fin and of the motor, without gear losses [N m].
+    velocity
+        Velocity at the end of each tick [rad/s].
+    """
+    rate = tick_velocity(velocity)
+    current = motor_current(torque, rate, motor)
+    mechanical = mechanical_power(torque[:, :1], velocity)[:, 0]
+    xp = velocity.__array_namespace__()
+    return xp.stack([mechanical, electrical_power(current, rate, motor)], axis=-1)
