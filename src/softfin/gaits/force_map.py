@@ -11,7 +11,14 @@ from softfin.core.plant import Plant, has_torque
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient, survey
+from softfin.gaits.simulate import (
+    POWER_VELOCITIES,
+    ReportSearch,
+    SurveyConfig,
+    missing_gradient,
+    simulate_gait_with_power,
+    survey,
+)
 from softfin.gaits.usable import check_usable
 
 TOLERANCE_N = 0.1
@@ -83,11 +90,13 @@ def find_force_map(
             "gaits.power: this plant does not provide the torque on the fin, so the power of its "
             "gaits is unknown; use a streaming surrogate fitted to logs with the column torque_nm"
         )
+    with_power = (simulate_gait_with_power, POWER_VELOCITIES) if config.gaits.power else ()
     surveyed = survey(
         plant,
         config.survey,
         lambda done, note: report(SURVEY_SHARE * done, note),
         config.clock,
+        *with_power,
     )
     check_usable(plant, surveyed.reachable)
     empty = config.empty_table(surveyed.reachable)

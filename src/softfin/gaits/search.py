@@ -97,6 +97,14 @@ LARGE_N = 0.1
 """Cost of the largest amplitude in the first round [N]. Some forces can be produced with both small
 and large strokes; small strokes are preferred."""
 
+FORCE_PER_POWER = 5.0
+"""Upper bound of the power per additional newton [W/N], so that a force error costs more than the
+power that it saves."""
+
+START_POWER = 0.3
+"""Maximum weight of the power of an initial gait [N/W]; with a larger weight, initial gaits would
+produce too little force."""
+
 FINER = 5
 """Number of strokes per step between the surveyed centres and amplitudes; their forces are
 interpolated."""
@@ -180,7 +188,7 @@ def _search(
     """Find gaits for the nodes of a table, starting from the strokes of the survey."""
     shape = table.nodes
     target = _targets(survey, table.references().reshape(-1, 2))
-    nodes = _simulate(plant, survey, _start(survey, target, shape), config)
+    nodes = _simulate(plant, survey, _start(survey, target, shape, config.power), config)
     scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
@@ -228,25 +236,38 @@ def _between(
     return every, finer
 
 
-def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
+def _start(survey: Survey, target: NodeForces, shape: LatticeShape, power: float) -> PreTanh:
     """Choose the initial gaits: strokes of one family, close to the target forces and similar to
     their neighbours.
 
     A family is a waveform at a velocity, with different centres and amplitudes. The family with the
-    lowest mean distance from the target forces is used.
+    lowest mean distance from the target forces is used, or, if the survey contains the power, the
+    waveform with the lowest mean of distance and power.
     """
     starts = []
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
-    for (waveform, velocity), force in zip(gait_families(survey.clock), survey.force, strict=True):
-        by_stroke = RegularGridInterpolator(
-            (CENTRES, AMPLITUDES), force / survey.reachable.size, method="cubic"
-        )
-        interpolated = by_stroke(places)
-        pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
+    families = gait_families(survey.clock, survey.velocities)
+    known = survey.force / survey.reachable.size
+    if survey.power is not None:
+        known = np.concatenate([known, survey.power[..., None] / survey.reachable.size], axis=-1)
+    gaits = []
+    responses = []
+    for family, response in zip(families, known, strict=True):
+        by_stroke = RegularGridInterpolator((CENTRES, AMPLITUDES), response, method="cubic")
+        responses.append(by_stroke(places))
+        gaits.append(action_to_pre_tanh(strokes(*family, *places.T)))
+    # Velocities have very different powers, so that the strokes of all of them are compared.
+    together = 1 if survey.power is None else len(survey.velocities)
+    for first in range(0, len(families), together):
+        pre_tanh = np.concatenate(gaits[first : first + together])
+        response = np.concatenate(responses[first : first + together])
         # Distance between the force of each stroke and each target, (nodes, strokes).
-        apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
-        nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
+        apart = np.linalg.norm(response[None, :, :2] - np.asarray(target)[:, None], axis=-1)
+        if survey.power is not None:
+            apart += min(power, START_POWER) * response[:, 2]
+        large = np.tile(places[:, 1] / AMPLITUDES[-1], together)
+        nearest = np.argmin(apart + LARGE_N * large, axis=1)
         for _ in range(SWEEPS):
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
@@ -317,6 +338,8 @@ def _better(
         error: StepScales = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         if exact:
             return error
+        if config.power:
+            error *= 1 + FORCE_PER_POWER * config.power
         cost: StepScales = jnp.maximum(error, ENOUGH_N) + _cost(nodes.out, config)
         return cost
 

@@ -6,7 +6,7 @@ gradient ascent.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -51,6 +51,10 @@ s."""
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""
 
+POWER_VELOCITIES = (1.0, 0.6, 0.3, 0.0, -0.3, -0.6)
+"""Velocities of the surveyed gaits if power is minimized, as actions; the power is lowest if a
+stroke lasts as long as its action."""
+
 CENTRES = np.linspace(-1, 1, 11)
 """Centre angles of the surveyed gaits, as actions."""
 
@@ -77,7 +81,9 @@ class GaitResponse(NamedTuple):
     """Mean power delivered to the fin in the last window [W]; None if not computed."""
 
 
-def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
+def gait_families(
+    clock: ActionClock, velocities: Sequence[float] = VELOCITIES
+) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
     """Return the waveform and velocity of each gait family. Similar gaits of one family produce
     similar forces."""
     count = clock.window_actions
@@ -92,7 +98,7 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
     if count % 2:
         # Strokes to both sides, and a pause.
         waveforms.append(np.append(np.resize((1.0, -1.0), count - 1), 0.0))
-    return tuple(product(waveforms, VELOCITIES))
+    return tuple(product(waveforms, velocities))
 
 
 def simulate_gait(
@@ -289,6 +295,10 @@ class Survey(NamedTuple):
     reachable: Reachable
     clock: ActionClock
     """Clock of the gaits."""
+    power: Float[np.ndarray, "families centres amplitudes"] | None = None
+    """Mean power over a window [W]; None if not computed."""
+    velocities: Sequence[float] = VELOCITIES
+    """Velocities of the families (`gait_families`)."""
 
 
 def strokes(
@@ -307,30 +317,46 @@ def survey(
     config: SurveyConfig | None = None,
     report: ReportSearch = lambda *_: None,
     clock: ActionClock = PAPER_CLOCK,
+    simulate: SimulateGait = simulate_gait,
+    velocities: Sequence[float] = VELOCITIES,
 ) -> Survey:
-    """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
+    """Simulate the gaits of all families in a plant and estimate the region of reachable forces;
+    also return the power if `simulate` returns it."""
     config = config or SurveyConfig()
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
-    families = gait_families(clock)
+    families = gait_families(clock, velocities)
     gaits = np.concatenate([strokes(*family, *places) for family in families])
-    forces = []
+    responses = []
     for index, part in enumerate(_batches(gaits, config.batch), start=1):
-        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles, clock)))
+        response = _survey_batch(plant, jnp.asarray(part), config.cycles, clock, simulate)
+        responses.append(jax.tree.map(np.asarray, response))
         done = min(index * config.batch, len(gaits))
         report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
-    force = np.concatenate(forces)[: len(gaits)]
+    force, power = jax.tree.map(lambda *x: np.concatenate(x)[: len(gaits)], *responses)
     reachable = _pushed(plant, gaits, force, config, clock)
     report(1.0, "")
-    shape = (len(families), len(CENTRES), len(AMPLITUDES), 2)
-    return Survey(force.reshape(shape), reachable, clock)
+    shape = (len(families), len(CENTRES), len(AMPLITUDES))
+    if power is not None:
+        power = power.reshape(shape)
+    return Survey(force.reshape(*shape, 2), reachable, clock, power, velocities)
 
 
 @jit("low")
-def _mean_forces(
-    plant: Plant, gaits: Float[Array, "n actions 2"], cycles: int, clock: ActionClock
-) -> Float[Array, "n 2"]:
+def _survey_batch(
+    plant: Plant,
+    gaits: Float[Array, "n actions 2"],
+    cycles: int,
+    clock: ActionClock,
+    simulate: SimulateGait,
+) -> tuple[Float[Array, "n 2"], Float[Array, "n"] | None]:
     key = named_key(0, "survey")
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key, clock).force)(gaits)
+
+    def one(gait: Float[Array, "actions 2"]) -> tuple[Array, Array | None]:
+        response = simulate(plant, gait, cycles, key, clock)
+        return response.force, response.power
+
+    found: tuple[Array, Array | None] = jax.vmap(one)(gaits)
+    return found
 
 
 def _pushed(
