@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import PlantError
+from softfin.core.power import EC_MAX_30, motor_current
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.simulate import CHUNK_ROWS
 from softfin.tank import Tank
-from softfin.tank.drive import AMPERE_PER_NM
 from tests.plants import AnalyticFin, PlainFin
 
 ROWS = CHUNK_ROWS + 501
@@ -184,10 +184,9 @@ def test_the_tank_records_torque_and_current_on_request(tmp_path):
     # Over whole strokes from rest to rest, the drive delivers power to the water.
     torque, velocity = log.channels["torque_nm"], log.reading.velocity
     assert np.mean(torque * velocity) > 0
-    # The current also accelerates the rotor: without that part it is the torque.
-    acceleration = np.gradient(velocity) / TICK_S
-    rotor = float(tank.drive.inertia) * acceleration
-    current = AMPERE_PER_NM * (torque + rotor)
+    # The current also accelerates the rotor and covers the losses of the gear.
+    rotor = float(tank.drive.inertia) * np.gradient(velocity) / TICK_S
+    current = motor_current(np.stack([torque, torque + rotor], axis=1), velocity, EC_MAX_30)
     assert np.corrcoef(current, log.channels["current_a"])[0, 1] > 0.9
     assert np.abs(log.channels["current_a"]).max() < 2.5
 

@@ -38,13 +38,15 @@ def test_a_fin_does_what_it_does_in_an_experiment(fin):
     seconds = 3
     ticks = seconds * RATE_HZ
     sent = np.repeat(forces[:, None], 12, axis=1)
-    found, torque = fin_loads(fin, sent, np.array([0, 40]), ticks, jax.random.key(0))
+    found, torque, power = fin_loads(fin, sent, np.array([0, 40]), ticks, jax.random.key(0))
     recording = experiment.run(fin.controller, fin.tank, forces, seconds, jax.random.key(0)[None])
     np.testing.assert_allclose(found[:, 0], recording.force[:, 0], atol=2e-3)
     assert not found[:, 1, :40].any(), "at rest until it starts"
     np.testing.assert_allclose(found[:, 1, 40:], found[:, 0, : ticks - 40], atol=1e-6)
     assert np.abs(torque).max() > 0.05
     np.testing.assert_allclose(torque[:, 1, 40:], torque[:, 0, : ticks - 40], atol=1e-6)
+    np.testing.assert_allclose(power[:, 0], recording.power[:, 0], rtol=0.01, atol=0.02)
+    assert not power[:, 1, :40].any()
 
 
 @pytest.mark.parametrize("clock", [PAPER_CLOCK, ActionClock.at(6), ActionClock.at(2, 3)])
@@ -64,7 +66,7 @@ def exact_fins(monkeypatch):
 
     def loads(fin, references, starts, ticks, key):
         force = np.broadcast_to(references[:, None, -1:], (len(references), len(starts), ticks, 2))
-        return force, np.full(force.shape[:3], 0.1)
+        return force, np.full(force.shape[:3], 0.1), np.full(force.shape, (2.0, 4.0))
 
     monkeypatch.setattr(evaluate, "fin_loads", loads)
 

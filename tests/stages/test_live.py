@@ -12,6 +12,7 @@ import pytest
 from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import roll
+from softfin.core.power import measured_power
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.recordings import open_logs
@@ -209,6 +210,13 @@ def test_torque_and_current_through_the_emulators_are_the_tanks_own(drive, tmp_p
     for motor_torque in (torque, constant_nm_a * current):
         mean_w = np.mean(motor_torque * through.reading.velocity)
         assert mean_w == pytest.approx(power_w, rel=0.15)
+    # Both powers of the log are those of the tank.
+    motor = robot.machine.motor
+    powers = [
+        measured_power(log.channels, log.reading.velocity, motor).mean(axis=0)
+        for log in (through, own)
+    ]
+    np.testing.assert_allclose(*powers, rtol=0.05)
 
 
 def shifted(through, own, lag):

@@ -6,10 +6,14 @@ is the power that the water takes. The motor returns no power to its supply: ele
 off at 0 in each tick, because a mean over a whole stroke would offset braking against driving.
 """
 
-from typing import Any, NamedTuple
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypedDict
 
+import numpy as np
 from jaxtyping import Float
 
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import AnyArray
 
 
@@ -78,6 +82,68 @@ def drive_power(
     """
     rate = tick_velocity(velocity)
     current = motor_current(torque, rate, motor)
-    mechanical = mechanical_power(torque[:, :1], velocity)[:, 0]
-    xp = velocity.__array_namespace__()
-    return xp.stack([mechanical, electrical_power(current, rate, motor)], axis=-1)
+    powers = [torque[:, 0] * rate, electrical_power(current, rate, motor)]
+    return velocity.__array_namespace__().stack(powers, axis=-1)
+
+
+def measured_power(
+    channels: Mapping[str, Float[AnyArray, "rows"]],
+    velocity: Float[AnyArray, "rows"],
+    motor: Motor | None,
+) -> Float[np.ndarray, "rows 2"]:
+    """Return the mechanical and electrical power in each row of a log [W], from its channels for
+    torque and current; NaN without the channel, and without a `motor` for the electrical power."""
+    powers = np.full((*velocity.shape, 2), math.nan)
+    if LOAD_CHANNELS[-1] in channels:
+        powers[:, 0] = channels[LOAD_CHANNELS[-1]] * velocity
+    if motor is not None and CURRENT_CHANNEL in channels:
+        # Drives report the current over the time since the previous reading.
+        current = channels[CURRENT_CHANNEL]
+        powers[:, 1] = electrical_power(current, tick_velocity(velocity), motor)
+    return powers
+
+
+class MeanPower(TypedDict):
+    """Mean power and what it gives."""
+
+    mean_w: float
+    force_per_watt_n: float | None
+    """Magnitude of the mean force divided by the mean power [N/W]; None if no power is taken."""
+    per_minute_j: float
+    """Energy per minute [J]."""
+
+
+def mean_powers(thrust_n: float, means_w: Sequence[float]) -> dict[str, MeanPower]:
+    """Return the known ones of the mean mechanical and electrical power [W] by name, for the
+    magnitude of a mean force [N]; NaN if unknown."""
+    return {
+        name: {
+            "mean_w": mean_w,
+            "force_per_watt_n": thrust_n / mean_w if mean_w > 0 else None,
+            "per_minute_j": 60 * mean_w,
+        }
+        for name, mean_w in zip(("mechanical", "electrical"), means_w, strict=True)
+        if math.isfinite(mean_w)
+    }
+
+
+def supply_power(powers: Mapping[str, MeanPower]) -> MeanPower | None:
+    """Return the electrical power, or the mechanical power if only that is known."""
+    return powers.get("electrical", powers.get("mechanical"))
+
+
+def force_per_watt(power: MeanPower) -> str:
+    """Return the force per watt as text."""
+    ratio = power["force_per_watt_n"]
+    return "-" if ratio is None else f"{ratio:.2f}"
+
+
+def describe_powers(powers: Mapping[str, MeanPower]) -> str:
+    """Return the mean powers, the force per watt and the energy per minute on one line; empty if
+    none is known."""
+    power = supply_power(powers)
+    if power is None:
+        return ""
+    means = ", ".join(f"{own['mean_w']:.2f} W {name}" for name, own in powers.items())
+    each = f"{force_per_watt(power)} N/W, {power['per_minute_j']:.0f} J per minute"
+    return f"mean power {means}; {each}"

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
+from softfin.core.power import EC_MAX_30
 from softfin.emulation.axia80 import EmulatedAxia80
 from softfin.emulation.dynamixel import EmulatedServo
 from softfin.emulation.epos2.drive import EmulatedDrive
@@ -18,7 +19,13 @@ from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.registry import find_device
 from softfin.tank import Tank
-from softfin.tank.drive import TORQUE_CONSTANT_NM_A
+
+MOTOR_VALUES = {
+    "torque_constant_nm_a": EC_MAX_30.torque_constant_nm_a * EC_MAX_30.gear_efficiency,
+    "gear_efficiency": EC_MAX_30.gear_efficiency,
+    "winding_ohm": EC_MAX_30.winding_ohm,
+}
+"""Motor of the emulated drives, as in the file of a real rig."""
 
 
 class Emulator(NamedTuple):
@@ -56,7 +63,7 @@ DRIVES = {
             "encoder_lines": 500,
             "gear_ratio": 111.0,
             "following_error_rad": 0.5,
-            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
+            **MOTOR_VALUES,
         },
         lambda config, bus, fin, clock: EmulatedDrive(bus, config, fin, clock),
     ),
@@ -65,7 +72,7 @@ DRIVES = {
             "port": "simulated",
             "model": "XM430-W350",
             "id": 1,
-            "torque_constant_nm_a": TORQUE_CONSTANT_NM_A,
+            **MOTOR_VALUES,
         },
         lambda config, bus, fin, clock: EmulatedServo(config, fin, clock),
     ),

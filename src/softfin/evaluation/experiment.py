@@ -30,6 +30,7 @@ from softfin.core.plant import (
     mean_loads,
     rest_command,
 )
+from softfin.core.power import drive_power
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 
@@ -64,6 +65,9 @@ class ExperimentRecording(NamedTuple):
     estimate: Any = None
     """Estimates of the feedback after each action ``(references, seeds, actions, ...)``; None
     without feedback."""
+    power: Float[AnyArray, "references seeds ticks 2"] | None = None
+    """Mechanical power on the fin and electrical power of the motor (`softfin.core.power`), NaN for
+    one that is not measured [W]; None without both."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
@@ -72,9 +76,9 @@ class ExperimentRecording(NamedTuple):
 
     def first(self) -> "ExperimentRecording":
         """Return the first seed as NumPy arrays; the seed axis remains, with length 1."""
-        command, reading, true_force, estimate = jax.tree.map(
+        command, reading, true_force, estimate, power = jax.tree.map(
             lambda x: np.asarray(x[:, :1]),
-            (self.command, self.reading, self.true_force, self.estimate),
+            (self.command, self.reading, self.true_force, self.estimate, self.power),
         )
         return self._replace(
             reference=np.asarray(self.reference),
@@ -82,6 +86,7 @@ class ExperimentRecording(NamedTuple):
             reading=reading,
             true_force=true_force,
             estimate=estimate,
+            power=power,
         )
 
 
@@ -155,11 +160,11 @@ def run_together(
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
         own = jax.tree.map(lambda x, part=part: x[part], recorded[:3])
-        command, reading, true_force = own
+        command, reading, (true_force, power) = own
         acted = (*part[:2], slice(clock.actions_within(seconds * RATE_HZ)))
         estimate = jax.tree.map(lambda x, acted=acted: x[acted], recorded.estimate)
         recordings.append(
-            ExperimentRecording(references, command, reading, true_force, clock, estimate)
+            ExperimentRecording(references, command, reading, true_force, clock, estimate, power)
         )
         first += len(references)
     return recordings
@@ -295,7 +300,9 @@ def _program(
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
         run = simulate(controller, plant, asked, key)
-        return run._replace(output=run.output.true_force)
+        torque = run.output.torque
+        power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
+        return run._replace(output=(run.output.true_force, power))
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(

@@ -7,6 +7,7 @@ the keys.
 from typing import NotRequired, TypedDict
 
 from softfin.core.json_object import JsonObject
+from softfin.core.power import MeanPower
 
 
 class AxisScores(TypedDict):
@@ -32,6 +33,8 @@ class MeanScores(TypedDict):
     x: AxisScores
     y: AxisScores
     shaft_travel_rad_s: float
+    power: NotRequired[dict[str, MeanPower]]
+    """Mean mechanical power on the fin and electrical power of its motor, if known."""
 
 
 class ReferenceScores(MeanScores):

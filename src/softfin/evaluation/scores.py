@@ -32,6 +32,7 @@ from jaxtyping import Array, Float
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, State
+from softfin.core.power import mean_powers
 from softfin.core.quantities import AXES, RATE_HZ, Command
 from softfin.core.window import PAPER_WINDOW, interval, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
@@ -76,6 +77,10 @@ class Scores(NamedTuple):
     is treated as at rest."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
     """Error computed from the reading [N]; None if `error` is already computed from the reading."""
+    thrust: Float[np.ndarray, "references seeds"]
+    """Magnitude of the mean force [N]."""
+    power: Float[np.ndarray, "references seeds 2"] | None
+    """Mean mechanical and electrical power [W], NaN if not measured; None without both."""
 
 
 def score(recording: ExperimentRecording) -> Scores:
@@ -103,6 +108,8 @@ def score(recording: ExperimentRecording) -> Scores:
         shaft_travel=travel(shaft, clock),
         late_travel=travel(second_half, clock),
         reading_error=reading_error,
+        thrust=np.linalg.norm(force.mean(axis=2), axis=-1),
+        power=None if recording.power is None else np.asarray(recording.power).mean(axis=2),
     )
 
 
@@ -113,21 +120,24 @@ def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:
     )
     axes = []
     for axis in range(len(AXES)):
-        row: JsonObject = {}
+        own_scores: JsonObject = {}
         for name in ("error", "std", "raw_std", "reading_error"):
             values = getattr(chosen, name)
             if values is not None:
                 own = values[:, axis]
-                row[f"{name}_n"] = float(own.mean())
-                row[f"{name}_interval_n"] = interval(own)
-                row[f"{name}_seeds_n"] = own.tolist()
-        axes.append(cast(AxisScores, row))
+                own_scores[f"{name}_n"] = float(own.mean())
+                own_scores[f"{name}_interval_n"] = interval(own)
+                own_scores[f"{name}_seeds_n"] = own.tolist()
+        axes.append(cast(AxisScores, own_scores))
     x, y = axes
-    return {
+    row: MeanScores = {
         "x": x,
         "y": y,
         "shaft_travel_rad_s": float(chosen.shaft_travel.mean()),
     }
+    if chosen.power is not None:
+        row["power"] = mean_powers(float(chosen.thrust.mean()), chosen.power.mean(axis=0).tolist())
+    return row
 
 
 def scores_together(each: Sequence[Scores]) -> Scores:

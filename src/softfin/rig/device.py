@@ -18,6 +18,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from softfin.core.configuration import Configuration
 from softfin.core.errors import DeviceError, SoftfinError
 from softfin.core.json_object import JsonObject
+from softfin.core.power import Motor
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.rig.lock import DeviceLock
@@ -114,11 +115,24 @@ class DriveConfig(DeviceConfig):
     """Torque at the output shaft per ampere of motor current [N m/A], including the gear ratio and
     the efficiency of the gear; None if unknown. Feedback from torque requires it if there is no
     torque sensor."""
+    gear_efficiency: float = Field(1.0, gt=0, le=1)
+    """Efficiency of the gear that `torque_constant_nm_a` includes [-]."""
+    winding_ohm: PositiveFloat | None = None
+    """Winding resistance of the motor from phase to phase [ohm]; None if unknown. Electrical power
+    requires it, and `torque_constant_nm_a`."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Time without a message from softfin after which the drive stops by itself [s]."""
     zero_needed: bool = True
     """Refuse to move until the fin has been zeroed after each power-up of the drive; set this to
     false only for an absolute encoder."""
+
+    @property
+    def motor(self) -> Motor | None:
+        """The motor and gear; None if a value is unknown."""
+        if self.torque_constant_nm_a is None or self.winding_ohm is None:
+            return None
+        without_losses = self.torque_constant_nm_a / self.gear_efficiency
+        return Motor(without_losses, self.winding_ohm, self.gear_efficiency)
 
     @property
     def limits(self) -> Limits:

@@ -5,15 +5,20 @@ References can come from the user, a topic, the rows of a file or any function t
 latest reference.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import TypeAlias
 
+import numpy as np
+
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
+from softfin.core.log_channels import CURRENT_CHANNEL
+from softfin.core.power import measured_power
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
@@ -37,6 +42,8 @@ class ActionResult:
     samples: list[Sample]
     estimate: Estimate | None = None
     """Estimate of the feedback after this action; None without feedback."""
+    power: tuple[float, float] = (math.nan, math.nan)
+    """Mean mechanical and electrical power [W]; NaN if unknown."""
 
 
 def run_controller(
@@ -76,7 +83,12 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
-        yield ActionResult(reference, target, samples, found)
+        # Only a rig has a configured drive. A missing current becomes NaN.
+        motor = getattr(session.machine, "motor", None)
+        drive = np.array([(each.current, each.velocity) for each in samples], float).T
+        electrical = measured_power({CURRENT_CHANNEL: drive[0]}, drive[1], motor)[:, 1].mean()
+        mechanical = math.nan if torques[0] is None else torques[0][1]
+        yield ActionResult(reference, target, samples, found, (mechanical, float(electrical)))
 
 
 class LiveReference:

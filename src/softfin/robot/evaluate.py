@@ -24,6 +24,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, repeat
+from softfin.core.power import drive_power, mean_powers
 from softfin.core.quantities import TICK_S, Command, Reading
 from softfin.core.randomness import named_generator, named_key
 from softfin.evaluation.experiment import closed_loop
@@ -40,7 +41,11 @@ WINDOWS = 10
 """Number of windows for which each target is held, from rest; errors are computed over the second
 half."""
 
-Held: TypeAlias = tuple[TankState, tuple[Reading, None, Load]]
+Loads: TypeAlias = tuple[Load, Float[Array, "... 2"]]
+"""Load of a fin on its mount, and the torques of its drive [N m] or, after a run, its mechanical
+and electrical power [W]."""
+
+Held: TypeAlias = tuple[TankState, tuple[Reading, None, Loads]]
 """State, and readings and loads, after one tick or an action."""
 
 ReportPart: TypeAlias = Callable[[float, str], None]
@@ -79,7 +84,7 @@ def evaluate_robot(
     """Compare the mean wrench of the fins on a fixed body with random target wrenches.
 
     Returns:
-        For each axis, averages over targets and repetitions [N, N m].
+        For each axis, averages over targets and repetitions [N, N m]; the mean power of all fins.
     """
     max_thrust_n = max_thrust_per_fin(robot, config.max_thrust)
     dead = find_dead(robot, config.dead)
@@ -89,6 +94,7 @@ def evaluate_robot(
     references = np.stack([each.forces for each in series])
     tracked = track_references(fins, references, dead)
     wrench = np.zeros((config.targets, config.repeats, ticks, 6))
+    power = np.zeros((config.targets, config.repeats, ticks, 2))
     matrix = robot.matrix()
     random = named_generator(config.seed, "robot/starts")
     for index, (fin, (name, mount)) in enumerate(zip(fins, robot.fins.items(), strict=True)):
@@ -98,7 +104,8 @@ def evaluate_robot(
             continue
         report(index / len(fins), name)
         key = named_key(config.seed, f"robot/{name}")
-        forces, torques = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
+        forces, torques, own_power = fin_loads(fin, tracked[:, :, index], starts, ticks, key)
+        power += own_power
         wrench += forces @ matrix[:, 2 * index : 2 * index + 2].T
         # The torque of the fin about its shaft adds to the moment of its force.
         wrench[..., 3:] += torques[..., None] * np.asarray(mount.shaft_axis)
@@ -106,6 +113,8 @@ def evaluate_robot(
     counted = wrench[:, :, ticks // 2 :]
     errors = np.abs(counted.mean(axis=2) - targets[:, None])
     tracked_wrench = tracked[:, -1].reshape(config.targets, -1) @ matrix.T
+    thrust_n = np.linalg.norm(counted[..., :3].mean(axis=2), axis=-1).mean()
+    powers = mean_powers(float(thrust_n), power[:, :, ticks // 2 :].mean(axis=(0, 1, 2)).tolist())
     replaced = np.delete((tracked != references).any(axis=3), dead, axis=2)
     return {
         "robot": robot.name,
@@ -116,6 +125,7 @@ def evaluate_robot(
         "error_worst": _per_axis(errors.max(axis=(0, 1))),
         "error_of_references": _per_axis(np.abs(tracked_wrench - targets).mean(axis=0)),
         "ripple": _per_axis(counted.std(axis=2).mean(axis=(0, 1))),
+        "power": powers,
         "targets_given_up": sum(bool(each.given_up[-1].any()) for each in series),
         "references_unreachable": round(float(replaced.mean()), 4),
     }
@@ -191,10 +201,12 @@ def fin_loads(
     ticks: int,
     key: PRNGKeyArray,
 ) -> tuple[
-    Float[np.ndarray, "targets repeats ticks 2"], Float[np.ndarray, "targets repeats ticks"]
+    Float[np.ndarray, "targets repeats ticks 2"],
+    Float[np.ndarray, "targets repeats ticks"],
+    Float[np.ndarray, "targets repeats ticks 2"],
 ]:
-    """Return the force [N] of a fin on its mount and the torque about its shaft [N m] in every tick
-    of the node.
+    """Return the force [N] of a fin on its mount, the torque about its shaft [N m] and its
+    mechanical and electrical power [W] in every tick of the node.
 
     The fin is at rest until it starts, a number of ticks after the node. At each action, its
     controller tracks the latest of the `references` from the node.
@@ -204,13 +216,15 @@ def fin_loads(
     newest = newest_references(clock, starts, actions, references.shape[1])
     keys = jax.random.split(key, len(starts))
     register_controllers()
-    load = _loads(fin, jnp.asarray(references[:, newest], jnp.float32), keys, clock)
+    load, own_power = _loads(fin, jnp.asarray(references[:, newest], jnp.float32), keys, clock)
     force = np.zeros((len(references), len(starts), ticks, 2))
     torque = np.zeros((len(references), len(starts), ticks))
+    power = np.zeros_like(force)
     for repeat_index, start in enumerate(starts):
         force[:, repeat_index, start:] = load.force[:, repeat_index, : ticks - start]
         torque[:, repeat_index, start:] = load.torque[:, repeat_index, : ticks - start]
-    return force, torque
+        power[:, repeat_index, start:] = own_power[:, repeat_index, : ticks - start]
+    return force, torque, power
 
 
 def newest_references(
@@ -230,7 +244,7 @@ def _loads(
     references: Float[Array, "targets repeats actions 2"],
     keys: Key[Array, "repeats"],
     clock: ActionClock,
-) -> Load:
+) -> Loads:
     """Return the loads of a fin from rest, with fields ``(targets, repeats, ticks, ...)``; compiled
     once for all fins that differ only in their arrays."""
     controller, tank = fin
@@ -238,15 +252,16 @@ def _loads(
     def hold(state: TankState, command: Command, ticks: Ticks) -> Held:
         def tick(state: TankState) -> Held:
             state, reading, load = tank.tick(state, command)
-            return state, (reading, None, load)
+            return state, (reading, None, (load, state.torque))
 
         return repeat(tick, state, ticks, clock.max_ticks)
 
-    def one(references: Float[Array, "actions 2"], key: PRNGKeyArray) -> Load:
-        loads: Load = closed_loop(controller, tank, hold, references, key, clock).output
-        return loads
+    def one(references: Float[Array, "actions 2"], key: PRNGKeyArray) -> Loads:
+        run = closed_loop(controller, tank, hold, references, key, clock)
+        load, torque = run.output
+        return load, drive_power(torque, jnp.asarray(run.reading.velocity))
 
-    loads: Load = jax.vmap(jax.vmap(one), in_axes=(0, None))(references, keys)
+    loads: Loads = jax.vmap(jax.vmap(one), in_axes=(0, None))(references, keys)
     return loads
 
 

@@ -2,10 +2,13 @@
 
 import contextlib
 import functools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
+
+import numpy as np
 
 from softfin.control.controller import LoadedController
 from softfin.control.feedback import UNFAMILIAR, Estimate, Feedback, FeedbackConfig
@@ -24,6 +27,7 @@ from softfin.core.option_types import (
     Force,
     PathLike,
 )
+from softfin.core.power import describe_powers, mean_powers
 from softfin.core.quantities import RATE_HZ
 from softfin.core.result import Result
 from softfin.gaits.reachable import force_decimals
@@ -199,6 +203,9 @@ class Drive(NamedTuple):
                 "error_x_n": round(errors[0], 4),
                 "error_y_n": round(errors[1], 4),
             }
+            means_w = np.mean([each.power for each in window], axis=0).tolist()
+            if powers := mean_powers(math.hypot(x, y), means_w):
+                summary["power"] = powers
 
 
 UNFAMILIAR_NOTE = (
@@ -241,9 +248,10 @@ def _said_when_stopped(bag: Path, summary: JsonObject) -> Iterator[None]:
 
 
 def _described(bag: Path, summary: JsonObject) -> str:
+    power = f"; {describe_powers(summary['power'])}" if "power" in summary else ""
     return (
         f"{bag}: {summary['seconds']:.1f} s, error over the last {summary['window_s']:g} s "
-        f"({summary['error_x_n']}, {summary['error_y_n']}) N"
+        f"({summary['error_x_n']}, {summary['error_y_n']}) N{power}"
     )
 
 
@@ -281,7 +289,7 @@ def run(
         overwrite: Replace an existing recording.
 
     Returns:
-        Path of the recording, and the errors over its last window.
+        Path of the recording, and the errors and the power over its last window.
 
     Raises:
         SafetyStop: If the fin was stopped.
@@ -352,7 +360,7 @@ def ros2(
         overwrite: Replace an existing recording.
 
     Returns:
-        Path of the recording, and the errors over its last window.
+        Path of the recording, and the errors and the power over its last window.
 
     Raises:
         SafetyStop: If the fin was stopped.

@@ -21,6 +21,7 @@ from softfin.control.store import load_controller, load_feedback
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, VOLTAGE_CHANNEL
+from softfin.core.power import measured_power
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
@@ -219,7 +220,7 @@ class LiveFin:
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
         """Run every reference `repetitions` times from rest, one run after the other."""
-        runs: list[tuple[Command, Reading]] = []
+        runs: list[tuple[Command, Reading, np.ndarray]] = []
         shape = (len(references), repetitions)
         for index, repetition in np.ndindex(shape):
             note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
@@ -228,12 +229,14 @@ class LiveFin:
                 self._one(np.broadcast_to(references[index], (seconds * RATE_HZ, 2)), seconds)
             )
         self._progress("evaluate", 1.0, "")
-        command, reading = jax.tree.map(
+        command, reading, power = jax.tree.map(
             lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs
         )
-        return ExperimentRecording(references, command, reading, clock=self._clock)
+        return ExperimentRecording(references, command, reading, clock=self._clock, power=power)
 
-    def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
+    def _one(
+        self, asked: Float[np.ndarray, "ticks 2"], seconds: int
+    ) -> tuple[Command, Reading, Float[np.ndarray, "ticks 2"]]:
         session = self._session
         session.activate()
         zero = session.rest(self._robot.settle_s)
@@ -269,7 +272,10 @@ class LiveFin:
         # The last action may end later.
         end = seconds * RATE_HZ
         reading = Reading(*(field[:end] for field in reading))
-        return Command(*np.array(ticks[:end], np.float32).T), reading
+        # Only a rig has a configured drive.
+        motor = getattr(self._robot.machine, "motor", None)
+        power = measured_power(log.channels, log.reading.velocity, motor)
+        return Command(*np.array(ticks[:end], np.float32).T), reading, power[1 : end + 1]
 
 
 def longest_gap(robot: RobotSetup) -> float:

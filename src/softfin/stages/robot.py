@@ -13,6 +13,7 @@ from softfin.core.configuration import configure
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.option_types import CONNECTION, CONTROLLER, DIR, HIDDEN, PLANT, Config, PathLike
+from softfin.core.power import describe_powers
 from softfin.core.progress import Progress, silent
 from softfin.core.result import Result
 from softfin.rig.ros2.config import TransportConfig
@@ -110,7 +111,10 @@ def evaluate(
     artifacts.write_folder(
         out, lambda folder: artifacts.write_description(folder, "robot", result), overwrite
     )
-    return Result(result, "\n".join([*_error_table(result), f"{out}: robot.json"]))
+    return Result(
+        result,
+        "\n".join([*_error_table(result), describe_powers(result["power"]), f"{out}: robot.json"]),
+    )
 
 
 def ros2(

@@ -5,6 +5,7 @@ from itertools import zip_longest
 from typing import Any
 
 from softfin.core.json_object import JsonObject
+from softfin.core.power import describe_powers, force_per_watt, supply_power
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
@@ -54,7 +55,9 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     lines = []
     for name, summary in controllers.items():
         decimals = error_decimals(summary)
-        rows = [[f"Table II, {name}", *TABLE_TWO_TITLES]]
+        power = describe_powers(summary["mean"].get("power", {}))
+        titles = (*TABLE_TWO_TITLES, *(("power W", "N/W") if power else ()))
+        rows = [[f"Table II, {name}", *titles]]
         notes = [""]
         for row in summary["references"]:
             x, y = row["reference_n"]
@@ -70,7 +73,7 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
             )
         rows.append(["  mean", *_scores(summary["mean"], decimals)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
-        lines.append(f"  {describe_errors(summary)}")
+        lines += [f"  {line}" for line in (describe_errors(summary), power) if line]
     return "\n".join(lines)
 
 
@@ -119,7 +122,8 @@ def _scores(row: MeanScores, decimals: int) -> list[str]:
         errors = row[axis]["error_seeds_n"]
         error = f"{row[axis]['error_n']:.{decimals}f} {over_seeds(interval, errors, decimals)}"
         cells += [error.rstrip(), f"{row[axis]['std_n']:.{decimals}f}"]
-    return cells
+    power = supply_power(row.get("power", {}))
+    return cells if power is None else [*cells, f"{power['mean_w']:.2f}", force_per_watt(power)]
 
 
 def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:

@@ -27,13 +27,6 @@ from softfin.tank.sensor import config_arrays, to_multiple
 DEAD_TICKS = 20
 """Maximum dead time [10 ms]."""
 
-TORQUE_CONSTANT_NM_A = 111 * 0.0259
-"""Torque at the fin divided by motor current [N m/A], for an assumed gear ratio of 111:1 and a
-motor with a torque constant of 25.9 mN m/A."""
-
-AMPERE_PER_NM = 1 / TORQUE_CONSTANT_NM_A
-"""Motor current divided by torque at the fin [A/(N m)]."""
-
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.

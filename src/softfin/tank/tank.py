@@ -15,10 +15,11 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import check_commands, check_key
+from softfin.core.power import EC_MAX_30, motor_current
 from softfin.core.quantities import TICK_S, Command, Limits, Reading
 from softfin.core.window import PAPER_WINDOW
 from softfin.tank.chain import PlanarVector, Scalar
-from softfin.tank.drive import AMPERE_PER_NM, LIMIT_FIELDS, Drive, DriveConfig, DriveState
+from softfin.tank.drive import LIMIT_FIELDS, Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
@@ -134,12 +135,9 @@ class Tank(eqx.Module):
         channels, without sensor errors."""
         check_commands(self.limits, command)
         after, reading, _load = self.tick(state, command)
-        torque, motor_torque = after.torque
-        return (
-            after,
-            reading,
-            {LOAD_CHANNELS[-1]: torque, CURRENT_CHANNEL: AMPERE_PER_NM * motor_torque},
-        )
+        velocity = (state.drive.rate + after.drive.rate) / 2
+        current = motor_current(after.torque, velocity, EC_MAX_30)
+        return after, reading, {LOAD_CHANNELS[-1]: after.torque[0], CURRENT_CHANNEL: current}
 
     def true_force(self, state: TankState) -> PlanarVector:
         """Return the mean force on the mount over the last tick, without sensor errors [N]."""

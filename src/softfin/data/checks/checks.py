@@ -4,12 +4,14 @@
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
+from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, AnyArray, command_limits
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.signals import (
     clipped_rows,
@@ -37,7 +39,7 @@ from softfin.data.importing.importing import (
     ImportConfig,
     compose_frames,
 )
-from softfin.data.importing.names import UNITS
+from softfin.data.importing.names import FURTHER, UNITS
 from softfin.data.issues import Issue, Severity, counted
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
@@ -105,6 +107,13 @@ TEN_BIT_RATIOS = (0.3, 0.145)
 X-series registers: 1,023 counts are 300 degrees, not 90, and a velocity of 1 is 0.111 rpm, not
 0.229."""
 
+MAX_LEVER_M = 2.0
+"""Maximum plausible torque about the shaft divided by the force [m]; 0.16 in the virtual tank."""
+
+MAX_FORCE_SHARE = 0.985
+"""Maximum plausible fraction of the variance of the torque about the shaft that the forces explain
+[-]; 0.88 to 0.93 in the virtual tank."""
+
 FRAME_TURNS = {"x,y": 0, "-y,x": 90, "-x,-y": 180, "y,-x": -90}
 MIRRORED_TURNS = {"x,-y": 0, "y,x": 90, "-x,y": 180, "-y,-x": -90}
 """Rotation [degrees] that is equivalent to each frame after y is reversed."""
@@ -138,6 +147,8 @@ class CheckedLog(NamedTuple):
     """Statistics of `calm`."""
     config: ImportConfig
     """Options with which the log was read; suggested fixes add to them."""
+    channels: Mapping[str, Float[AnyArray, "ticks"]] = MappingProxyType({})
+    """Further channels, by column (`softfin.core.log_channels`)."""
 
     def issue(
         self,
@@ -546,7 +557,7 @@ def _axes_options(config: ImportConfig, frame: str, turn_deg: int) -> str:
 
 def _negate_option(config: ImportConfig, names: Sequence[str]) -> str:
     # The option gets its complete new value, without channels that are negated twice.
-    changed = [name for name in SIGNED if (name in config.negate) != (name in names)]
+    changed = [name for name in (*SIGNED, *FURTHER) if (name in config.negate) != (name in names)]
     return f"--negate {','.join(changed)}" if changed else "remove --negate"
 
 
@@ -609,6 +620,39 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
                 "column"
             )
             yield log.issue("warning", "force offset", column, message, fix)
+
+
+def check_power(log: CheckedLog) -> Iterator[Issue]:
+    """Find torques and currents with which power would be wrong."""
+    if log.moving.sum() < MIN_ALIGNED_S * RATE_HZ:
+        return
+    moving = {name: np.asarray(values)[log.moving] for name, values in log.channels.items()}
+    column = LOAD_CHANNELS[-1]
+    for name in (column, CURRENT_CHANNEL):
+        if name in moving and not np.ptp(moving[name]):
+            message = f"always {moving.pop(name)[0]:.4g} while the fin is moving: not measured"
+            yield log.issue("warning", "constant", name, message, "remove the column")
+    if column not in moving:
+        return
+    torque = moving[column] - moving[column].mean()
+    force = log.columns.force[log.moving]
+    force -= force.mean()
+    parts = np.stack([force.real, force.imag], axis=1)
+    share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
+    lever_m = torque.std() / force.std()
+    power_w = np.mean(torque * log.columns.velocity[log.moving])
+    if lever_m > MAX_LEVER_M:
+        message = f"a torque of this size corresponds to a lever of {lever_m:.3g} m"
+        fix = "if it is in N mm, name its unit, e.g. torque_mNm, or divide the column by 1,000"
+        yield log.issue("warning", "torque unit", column, message, fix)
+    elif share > MAX_FORCE_SHARE:
+        message = f"proportional to the force ({share:.1%}), like a torque about x or y"
+        fix = "use the torque about the shaft, with --columns torque=COLUMN"
+        yield log.issue("warning", "torque axis", column, message, fix)
+    elif power_w < 0:
+        message = f"opposes the motion of the fin: {power_w:.2g} W on average"
+        fix = _negate_option(log.config, ("torque",))
+        yield log.issue("warning", "torque sign", column, message, fix)
 
 
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
@@ -711,5 +755,6 @@ LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
     check_force_clock,
     check_force_axes,
     check_force_offset,
+    check_power,
 )
 """Checks of a single log, in the order in which they run."""

@@ -108,7 +108,7 @@ def inspect(
         of_file = {channel: named.units[channel] for channel in ANGLES if channel in named.units}
         angles = of_file | config.angles
         own = config.model_copy(update={"angles": angles})
-        log = CheckedLog(raw, columns, calm, statistics[-1], own)
+        log = CheckedLog(raw, columns, calm, statistics[-1], own, named.log.channels)
         in_counts = list(check_counts(log))
         is_short = len(raw.angle) < RATE_HZ
         if in_counts or is_short:

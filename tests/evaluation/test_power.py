@@ -1,0 +1,33 @@
+"""Power of experiments in their scores."""
+
+import numpy as np
+import pytest
+
+from softfin.core.power import mean_powers, supply_power
+from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.scores import mean_scores, score
+from tests.evaluation.test_scores import record
+
+RECORDING = record(np.full((400, 2), [1.5, -2.0]))
+
+
+def with_power(watts) -> ExperimentRecording:
+    shape = (*RECORDING.reading.angle.shape, 2)
+    return RECORDING._replace(power=np.broadcast_to(np.asarray(watts, float), shape))
+
+
+def test_the_mean_power_of_an_experiment_is_in_its_scores():
+    power = mean_scores(score(with_power([2.0, 4.0])))["power"]
+    assert power["mechanical"]["force_per_watt_n"] == pytest.approx(2.5 / 2)
+    assert supply_power(power)["force_per_watt_n"] == pytest.approx(2.5 / 4)
+    assert supply_power(power)["per_minute_j"] == 240
+
+
+def test_power_that_is_not_known_is_left_out():
+    assert "power" not in mean_scores(score(RECORDING))
+    assert list(mean_scores(score(with_power([2.0, np.nan])))["power"]) == ["mechanical"]
+    assert mean_scores(score(with_power([np.nan, np.nan])))["power"] == {}
+
+
+def test_a_fin_that_gives_power_back_has_no_force_per_watt():
+    assert mean_powers(1.0, [-1.0, np.nan])["mechanical"]["force_per_watt_n"] is None
