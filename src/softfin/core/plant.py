@@ -225,6 +225,15 @@ def repeat(
     return jax.lax.scan(one, state, jnp.arange(rows))
 
 
+def check_power(plant: Plant, weight: float, name: str) -> None:
+    """Raise PlantError if the power has a weight, but the plant does not provide the torque."""
+    if weight and not has_torque(plant):
+        raise PlantError(
+            f"{name} = {weight:g}: this plant does not provide the torque on the fin, so its power "
+            "is unknown; use 0, or fit a streaming surrogate to logs with the column torque_nm"
+        )
+
+
 def masked_mean(rows: Array, ticks: Ticks) -> Array:
     """Return the mean over the valid rows of an action, ``(rows, ...)``."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))

@@ -7,7 +7,7 @@ from scipy.ndimage import map_coordinates
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, has_torque
+from softfin.core.plant import Plant, check_power
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
@@ -85,11 +85,7 @@ def find_force_map(
             f"the search for gaits requires: {reason}; record the plant (softfin collect), fit a "
             "surrogate (softfin fit), and map the surrogate"
         )
-    if config.gaits.power and not has_torque(plant):
-        raise PlantError(
-            "gaits.power: this plant does not provide the torque on the fin, so the power of its "
-            "gaits is unknown; use a streaming surrogate fitted to logs with the column torque_nm"
-        )
+    check_power(plant, config.gaits.power, "gaits.power")
     with_power = (simulate_gait_with_power, POWER_VELOCITIES) if config.gaits.power else ()
     surveyed = survey(
         plant,

@@ -248,12 +248,13 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape, power: float
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
     families = gait_families(survey.clock, survey.velocities)
-    known = survey.force / survey.reachable.size
+    size = survey.reachable.size
+    surveyed = survey.force / size
     if survey.power is not None:
-        known = np.concatenate([known, survey.power[..., None] / survey.reachable.size], axis=-1)
+        surveyed = np.concatenate([surveyed, survey.power[..., None] / size], axis=-1)
     gaits = []
     responses = []
-    for family, response in zip(families, known, strict=True):
+    for family, response in zip(families, surveyed, strict=True):
         by_stroke = RegularGridInterpolator((CENTRES, AMPLITUDES), response, method="cubic")
         responses.append(by_stroke(places))
         gaits.append(action_to_pre_tanh(strokes(*family, *places.T)))

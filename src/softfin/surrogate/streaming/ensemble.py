@@ -222,12 +222,12 @@ class MeanInterval(Configuration):
 
     @property
     @abstractmethod
-    def floor(self) -> float:
+    def noise_floor(self) -> float:
         """Floor in the unit of the mean."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Return the half-width of the interval for the mean of each member."""
-        return self.factor * (means.var(axis=0) + self.floor**2) ** 0.5
+        return self.factor * (means.var(axis=0) + self.noise_floor**2) ** 0.5
 
     def caveat(self) -> str | None:
         """Return the reason why the interval may be unreliable, or None."""
@@ -247,7 +247,7 @@ class Interval(MeanInterval):
     """Floor [N]."""
 
     @property
-    def floor(self) -> float:
+    def noise_floor(self) -> float:
         """Floor [N]."""
         return self.floor_n
 
@@ -259,7 +259,7 @@ class PowerInterval(MeanInterval):
     """Floor [W]."""
 
     @property
-    def floor(self) -> float:
+    def noise_floor(self) -> float:
         """Floor [W]."""
         return self.floor_w
 
@@ -282,13 +282,13 @@ def calibrate(
     measured: Float[np.ndarray, "windows axes"],
     logs: int,
 ) -> tuple[float, JsonObject]:
-    """Return the floor and the other fields of a `MeanInterval` for the predicted and measured
-    means of a number of logs."""
+    """Return the noise floor and the other fields of a `MeanInterval` for the predicted and
+    measured means of a number of logs."""
     # The score of split conformal prediction: ratio = |error| / sqrt(spread^2 + floor^2). The floor
     # keeps the ratio finite where the members agree by chance.
     error = np.abs(means.mean(axis=0) - measured)
-    floor = float(np.sqrt(np.mean(error**2)))
-    ratio = error / (means.var(axis=0) + floor**2) ** 0.5
+    noise_floor = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + noise_floor**2) ** 0.5
     # A new error and the n known errors are exchangeable, so the quantile of the new error is the
     # quantile of the known errors at COVERAGE (n + 1) / n.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
@@ -297,7 +297,12 @@ def calibrate(
     # multiplied by the ratio of the two-sided quantiles, t(2 K) / z for two axes.
     upper = (1 + COVERAGE) / 2
     widened = factor * float(stdtrit(ratio.shape[1] * logs, upper) / ndtri(upper))
-    return floor, {"coverage": COVERAGE, "factor": widened, "windows": ratio.size, "logs": logs}
+    return noise_floor, {
+        "coverage": COVERAGE,
+        "factor": widened,
+        "windows": ratio.size,
+        "logs": logs,
+    }
 
 
 class Familiarity(eqx.Module):

@@ -38,7 +38,12 @@ from softfin.surrogate.streaming.ensemble import (
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, ForceState
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
-from softfin.surrogate.streaming.torque import TORQUE, replace_torque
+from softfin.surrogate.streaming.torque import (
+    TORQUE,
+    power_means,
+    replace_torque,
+    with_torque,
+)
 from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 SETTLED = 3000
@@ -218,6 +223,22 @@ class StreamingSurrogate(eqx.Module):
             ),
         }
 
+    def power_scores(self, logs: Sequence[Log]) -> JsonObject | None:
+        """Return the root mean square error of the predicted mean power over 2 s [W], the mean
+        power [W], the fraction of means inside the interval and the number of logs; None without
+        the torque."""
+        recorded = with_torque(predict_motion(self.members.drive, logs), logs)
+        if self.power_interval is None or not recorded:
+            return None
+        means, measured = power_means(self.members.force, recorded, SKIPPED)
+        error = np.abs(means.mean(axis=0) - measured)
+        return {
+            "rmse_w": float(np.sqrt(np.mean(error**2))),
+            "mean_w": float(measured.mean()),
+            "coverage": float((error <= self.power_interval.half_width(means)).mean()),
+            "logs": len(recorded),
+        }
+
     def parameters(self) -> int:
         """Return the number of trainable parameters of all members."""
         return parameters(self.members)
@@ -226,10 +247,10 @@ class StreamingSurrogate(eqx.Module):
         """Return the entries of ``surrogate.json``, and the arrays by path."""
         drive = self.members.drive
         force = self.members.force
-        known = self.power_interval
-        power = {} if known is None else {"power_interval": known.model_dump(mode="json")}
+        interval = self.power_interval
+        power = {} if interval is None else {"power_interval": interval.model_dump(mode="json")}
         return {
-            "channels": _channels(known is not None),
+            "channels": _channels(interval is not None),
             "members": self.size,
             "networks": {
                 "drive": drive.config.model_dump(mode="json"),

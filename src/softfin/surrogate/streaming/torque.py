@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from softfin.core.compilation import jit
 from softfin.core.log_channels import LOAD_CHANNELS
-from softfin.core.power import tick_velocity
+from softfin.core.power import measured_power, tick_velocity
 from softfin.core.quantities import Log
 from softfin.core.window import window_means
 from softfin.surrogate.streaming.ensemble import (
@@ -96,12 +96,6 @@ def predict_power(
     return powers
 
 
-def measured_power(log: Log) -> Float[np.ndarray, "ticks"]:
-    """Return the measured power delivered to the fin in each row of a log except the first [W]."""
-    torque = np.asarray(log.channels[TORQUE])
-    return np.asarray(torque * tick_velocity(np.asarray(log.reading.velocity)))[1:]
-
-
 def power_means(
     nets: ForceNet, recorded: MotionLogs, burn_in: int
 ) -> tuple[Float[np.ndarray, "members windows 1"], Float[np.ndarray, "windows 1"]]:
@@ -110,7 +104,10 @@ def power_means(
     motion, logs = zip(*recorded, strict=True)
     predicted = predict_power(nets, motion)
     means = [window_means(power[:, burn_in:, None]) for power in predicted]
-    measured = [window_means(measured_power(log)[burn_in:, None]) for log in logs]
+    measured = []
+    for log in logs:
+        power = measured_power(log.channels, np.asarray(log.reading.velocity), None)
+        measured.append(window_means(power[1 + burn_in :, :1]))
     return np.concatenate(means, axis=1), np.concatenate(measured)
 
 
