@@ -156,14 +156,16 @@ def save_gaits(
     gaits = force_map.gaits
     error = gaits.force_error()
     nodes = gaits.table.references()
-    scores = [
-        {
+    scores = []
+    for place in np.ndindex(error.shape):
+        row = {
             "reference_n": nodes[place].tolist(),
             "missed_n": round(float(error[place]), 4),
             "smoothness_n": gaits.smoothness[place].round(4).tolist(),
         }
-        for place in np.ndindex(error.shape)
-    ]
+        if gaits.power is not None:
+            row["power_w"] = round(float(gaits.power[place]), 4)
+        scores.append(row)
     figure = map_figure(force_map, tolerance_n)
 
     write_controller(

@@ -69,10 +69,10 @@ class TrueForcePlant(Plant, Protocol):
 class TorquePlant(Plant, Protocol):
     """A plant that also provides the torque of its drive, which feedback can use."""
 
-    def torque(self, state: State) -> Float[Array, "2"]:
+    def torque(self, state: State) -> Float[Array, "2"] | None:
         """Return the mean torques over the last tick [N m]: on the fin about the shaft, and of the
         motor, which also accelerates the rotor. A torque has the sign of the velocity if the drive
-        delivers power."""
+        delivers power. An unknown torque is NaN; None if both are unknown."""
 
 
 @runtime_checkable
@@ -225,10 +225,26 @@ def repeat(
     return jax.lax.scan(one, state, jnp.arange(rows))
 
 
+def check_power(plant: Plant, weight: float, name: str) -> None:
+    """Raise PlantError if the power has a weight, but the plant does not provide the torque."""
+    if weight and not has_torque(plant):
+        raise PlantError(
+            f"{name} = {weight:g}: this plant does not provide the torque on the fin, so its power "
+            "is unknown; use 0, or fit a streaming surrogate to logs with the column torque_nm"
+        )
+
+
 def masked_mean(rows: Array, ticks: Ticks) -> Array:
     """Return the mean over the valid rows of an action, ``(rows, ...)``."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
+
+
+def has_torque(plant: Plant) -> bool:
+    """Return whether a plant provides the torque on the fin."""
+    return (
+        isinstance(plant, TorquePlant) and plant.torque(plant.init(jax.random.key(0))) is not None
+    )
 
 
 def mean_loads(torque: Array, velocity: Array, ticks: Ticks) -> tuple[Array, Array]:
@@ -244,13 +260,30 @@ def hold(
 ) -> tuple[State, Reading]:
     """Hold each of the ``(actions,)`` commands for one action of the clock; fields have the shape
     ``(ticks,)``."""
+    return _hold(hold_action, plant, state, actions, clock)
+
+
+def hold_with_hidden(
+    plant: Plant, state: State, actions: Command, clock: ActionClock
+) -> tuple[State, tuple[Reading, Hidden]]:
+    """Hold commands like `hold`; also return the hidden quantities."""
+    return _hold(hold_action_with_hidden, plant, state, actions, clock)
+
+
+def _hold(
+    hold_one: Callable[[Plant, State, Command, Ticks, int], tuple[State, Output]],
+    plant: Plant,
+    state: State,
+    actions: Command,
+    clock: ActionClock,
+) -> tuple[State, Output]:
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(clock.action_ticks(count)))
-    state, reading = jax.lax.scan(
-        lambda state, now: hold_action(plant, state, *now, clock.max_ticks), state, held
+    state, output = jax.lax.scan(
+        lambda state, now: hold_one(plant, state, *now, clock.max_ticks), state, held
     )
-    return state, jax.tree.map(lambda x: drop_padding(x, count, clock), reading)
+    return state, jax.tree.map(lambda x: drop_padding(x, count, clock), output)
 
 
 def drop_padding(rows: Array, actions: int, clock: ActionClock) -> Array:

@@ -64,7 +64,8 @@ def electrical_power(current: AnyArray, velocity: AnyArray, motor: Motor) -> Any
     """Return the power that the motor takes [W] at a current [A] and a velocity of the fin [rad/s]:
     heat in the winding and power of the rotor, or 0 if the sum is negative."""
     power = current * (motor.winding_ohm * current + motor.torque_constant_nm_a * velocity)
-    return power.__array_namespace__().where(power > 0, power, 0)
+    # NaN if the current is not known.
+    return power.__array_namespace__().maximum(power, 0.0)
 
 
 def drive_power(

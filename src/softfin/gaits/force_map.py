@@ -7,11 +7,18 @@ from scipy.ndimage import map_coordinates
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant
+from softfin.core.plant import Plant, check_power
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient, survey
+from softfin.gaits.simulate import (
+    POWER_VELOCITIES,
+    ReportSearch,
+    SurveyConfig,
+    missing_gradient,
+    simulate_gait_with_power,
+    survey,
+)
 from softfin.gaits.usable import check_usable
 
 TOLERANCE_N = 0.1
@@ -78,11 +85,14 @@ def find_force_map(
             f"the search for gaits requires: {reason}; record the plant (softfin collect), fit a "
             "surrogate (softfin fit), and map the surrogate"
         )
+    check_power(plant, config.gaits.power, "gaits.power")
+    with_power = (simulate_gait_with_power, POWER_VELOCITIES) if config.gaits.power else ()
     surveyed = survey(
         plant,
         config.survey,
         lambda done, note: report(SURVEY_SHARE * done, note),
         config.clock,
+        *with_power,
     )
     check_usable(plant, surveyed.reachable)
     empty = config.empty_table(surveyed.reachable)

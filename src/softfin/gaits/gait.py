@@ -117,6 +117,8 @@ class GaitSearchResult(NamedTuple):
     """Mean force over a window [N]."""
     smoothness: Float[np.ndarray, "x y 2"]
     """Sobolev term in the form `mean` [N]."""
+    power: Float[np.ndarray, "x y"] | None = None
+    """Mean power delivered to the fin [W]; None if the plant does not provide the torque."""
 
     def force_error(self) -> Float[np.ndarray, "x y"]:
         """Return the distance of each node's force from its reference [N]."""
@@ -147,11 +149,12 @@ class ForceMap(NamedTuple):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the gaits and their forces as named arrays."""
         gaits = self.gaits
-        return {
+        arrays = {
             "actions": np.asarray(gaits.table.actions),
             "force_n": gaits.force,
             "smoothness_n": gaits.smoothness,
         }
+        return arrays if gaits.power is None else arrays | {"power_w": gaits.power}
 
 
 def parse_gaits(description: Mapping[str, Any], arrays: NamedArrays) -> tuple[GaitTable, Cell]:

@@ -24,7 +24,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from scipy.interpolate import RegularGridInterpolator
 
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant
+from softfin.core.plant import Plant, has_torque
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
 from softfin.gaits.gait import GaitSearchResult, GaitTable
@@ -38,7 +38,10 @@ from softfin.gaits.simulate import (
     Survey,
     action_to_pre_tanh,
     gait_families,
+    gait_powers,
     gait_sensitivity,
+    simulate_gait,
+    simulate_gait_with_power,
     strokes,
 )
 
@@ -58,6 +61,8 @@ class GaitConfig(Configuration):
     """Number of Gauss-Newton steps; the last `EXACT` steps reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
+    power: NonNegativeFloat = 0.0
+    """Weight of the mean power that the drive delivers to the fin, in the same directions [N/W]."""
     likeness: NonNegativeFloat = 1.0
     """Weight of the squared distance from the mean of the neighbours."""
     halvings: NonNegativeInt = 1
@@ -91,6 +96,14 @@ actions [N]."""
 LARGE_N = 0.1
 """Cost of the largest amplitude in the first round [N]. Some forces can be produced with both small
 and large strokes; small strokes are preferred."""
+
+FORCE_PER_POWER = 5.0
+"""Upper bound of the power per additional newton [W/N], so that a force error costs more than the
+power that it saves."""
+
+START_POWER = 0.3
+"""Maximum weight of the power of an initial gait [N/W]; with a larger weight, initial gaits would
+produce too little force."""
 
 FINER = 5
 """Number of strokes per step between the surveyed centres and amplitudes; their forces are
@@ -128,7 +141,13 @@ def find_gaits(
     shape = (*table.nodes, 2)
     force = np.asarray(nodes.out[:, :2] * size, np.float32).reshape(shape)
     smoothness = np.asarray(nodes.smoothness * size, np.float32).reshape(shape)
-    return GaitSearchResult(_filled(table, nodes), force, smoothness)
+    found = _filled(table, nodes)
+    power = None
+    if has_torque(plant):
+        actions = np.asarray(found.actions).reshape(-1, *found.actions.shape[2:])
+        power = gait_powers(plant, actions, config.cycles, named_key(0, "gaits"), survey.clock)
+        power = power.reshape(table.nodes)
+    return GaitSearchResult(found, force, smoothness, power)
 
 
 def _simulate(
@@ -136,7 +155,9 @@ def _simulate(
 ) -> GaitSensitivity:
     """Simulate gaits; forces and force gradients are divided by the fin size."""
     # The key is not a module constant: creating it starts JAX, which an import must not do.
-    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"), survey.clock)
+    key = named_key(0, "gaits")
+    simulate = simulate_gait_with_power if config.power else simulate_gait
+    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, key, survey.clock, simulate)
     size = np.float32(survey.reachable.size)
     return nodes._replace(
         out=nodes.out / size, slope=nodes.slope / size, smoothness=nodes.smoothness / size
@@ -167,7 +188,7 @@ def _search(
     """Find gaits for the nodes of a table, starting from the strokes of the survey."""
     shape = table.nodes
     target = _targets(survey, table.references().reshape(-1, 2))
-    nodes = _simulate(plant, survey, _start(survey, target, shape), config)
+    nodes = _simulate(plant, survey, _start(survey, target, shape, config.power), config)
     scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
@@ -176,7 +197,7 @@ def _search(
             nodes, scale = _restarted(nodes, target, scale, shape)
         moved = _stepped(nodes, target, scale, shape, config, exact)
         trial = _simulate(plant, survey, moved, config)
-        nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
+        nodes, scale = _better(nodes, trial, target, scale, config, exact)
         told(nodes, target)
     return nodes
 
@@ -202,7 +223,7 @@ def _between(
     for _ in range(EXACT):
         moved = _stepped(added, target, scale, (len(target), 1), config, True)
         trial = _simulate(plant, survey, moved, config)
-        added, scale = _better(added, trial, target, scale, 0.0)
+        added, scale = _better(added, trial, target, scale, config, True)
         told(added, target)
 
     def placed(old: AnyArray, added: AnyArray) -> AnyArray:
@@ -215,25 +236,39 @@ def _between(
     return every, finer
 
 
-def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
+def _start(survey: Survey, target: NodeForces, shape: LatticeShape, power: float) -> PreTanh:
     """Choose the initial gaits: strokes of one family, close to the target forces and similar to
     their neighbours.
 
     A family is a waveform at a velocity, with different centres and amplitudes. The family with the
-    lowest mean distance from the target forces is used.
+    lowest mean distance from the target forces is used, or, if the survey contains the power, the
+    waveform with the lowest mean of distance and power.
     """
     starts = []
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
-    for (waveform, velocity), force in zip(gait_families(survey.clock), survey.force, strict=True):
-        by_stroke = RegularGridInterpolator(
-            (CENTRES, AMPLITUDES), force / survey.reachable.size, method="cubic"
-        )
-        interpolated = by_stroke(places)
-        pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
+    families = gait_families(survey.clock, survey.velocities)
+    size = survey.reachable.size
+    surveyed = survey.force / size
+    if survey.power is not None:
+        surveyed = np.concatenate([surveyed, survey.power[..., None] / size], axis=-1)
+    gaits = []
+    responses = []
+    for family, response in zip(families, surveyed, strict=True):
+        by_stroke = RegularGridInterpolator((CENTRES, AMPLITUDES), response, method="cubic")
+        responses.append(by_stroke(places))
+        gaits.append(action_to_pre_tanh(strokes(*family, *places.T)))
+    # Velocities have very different powers, so that the strokes of all of them are compared.
+    together = 1 if survey.power is None else len(survey.velocities)
+    for first in range(0, len(families), together):
+        pre_tanh = np.concatenate(gaits[first : first + together])
+        response = np.concatenate(responses[first : first + together])
         # Distance between the force of each stroke and each target, (nodes, strokes).
-        apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
-        nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
+        apart = np.linalg.norm(response[None, :, :2] - np.asarray(target)[:, None], axis=-1)
+        if survey.power is not None:
+            apart += min(power, START_POWER) * response[:, 2]
+        large = np.tile(places[:, 1] / AMPLITUDES[-1], together)
+        nearest = np.argmin(apart + LARGE_N * large, axis=1)
         for _ in range(SWEEPS):
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
@@ -270,12 +305,20 @@ def _stepped(
 
     wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
     if not exact:
-        slope = config.smoothness * nodes.slope[:, 2]
+        slope = _cost(nodes.slope, config)
         slope += config.likeness * (nodes.pre_tanh - _neighbours(nodes.pre_tanh, shape))
         # The projection on the null space of J: (1 - J^T (J J^T)^-1 J) slope.
         free = slope - along(jnp.einsum("nij,nj->ni", across, slope))
         wanted -= _shortened(free, FREE_STEP)
     return nodes.pre_tanh + scale[:, None] * wanted
+
+
+def _cost(
+    outputs: Float[AnyArray, "nodes outputs *values"], config: GaitConfig
+) -> Float[AnyArray, "nodes *values"]:
+    """Return the weighted sum of the Sobolev term and the power, or of their gradients."""
+    cost = config.smoothness * outputs[:, 2]
+    return cost + config.power * outputs[:, 3] if config.power else cost
 
 
 @eqx.filter_jit
@@ -284,7 +327,8 @@ def _better(
     trial: GaitSensitivity,
     target: NodeForces,
     scale: StepScales,
-    smoothness: float,
+    config: GaitConfig,
+    exact: bool,
 ) -> tuple[GaitSensitivity, StepScales]:
     """For each node, keep the better of the current gait and the trial.
 
@@ -292,11 +336,16 @@ def _better(
     """
 
     def merit(nodes: GaitSensitivity) -> StepScales:
-        error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
-        return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
+        error: StepScales = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
+        if exact:
+            return error
+        if config.power:
+            error *= 1 + FORCE_PER_POWER * config.power
+        cost: StepScales = jnp.maximum(error, ENOUGH_N) + _cost(nodes.out, config)
+        return cost
 
     # The tolerance allows steps towards the neighbours, which may increase the error slightly.
-    better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
+    better = merit(trial) < merit(nodes) + (0 if exact else ENOUGH_N)
     chosen = jax.tree.map(
         lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes
     )

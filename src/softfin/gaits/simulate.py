@@ -6,9 +6,9 @@ gradient ascent.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,9 @@ from pydantic import Field, PositiveInt
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit, map_in_threads
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant, hold
-from softfin.core.quantities import AnyArray, action_to_command
+from softfin.core.plant import Plant, hold, hold_with_hidden
+from softfin.core.power import mechanical_power
+from softfin.core.quantities import AnyArray, Command, action_to_command
 from softfin.core.randomness import named_key
 from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
@@ -50,6 +51,10 @@ s."""
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""
 
+POWER_VELOCITIES = (1.0, 0.6, 0.3, 0.0, -0.3, -0.6)
+"""Velocities of the surveyed gaits if power is minimized, as actions; the power is lowest if a
+stroke lasts as long as its action."""
+
 CENTRES = np.linspace(-1, 1, 11)
 """Centre angles of the surveyed gaits, as actions."""
 
@@ -72,9 +77,13 @@ class GaitResponse(NamedTuple):
     """Mean force over the last window [N]."""
     smoothness: Float[Array, "2"]
     """Sobolev term of the last window in the form `mean` [N]."""
+    power: Float[Array, ""] | None = None
+    """Mean power delivered to the fin in the last window [W]; None if not computed."""
 
 
-def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
+def gait_families(
+    clock: ActionClock, velocities: Sequence[float] = VELOCITIES
+) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
     """Return the waveform and velocity of each gait family. Similar gaits of one family produce
     similar forces."""
     count = clock.window_actions
@@ -89,7 +98,7 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
     if count % 2:
         # Strokes to both sides, and a pause.
         waveforms.append(np.append(np.resize((1.0, -1.0), count - 1), 0.0))
-    return tuple(product(waveforms, VELOCITIES))
+    return tuple(product(waveforms, velocities))
 
 
 def simulate_gait(
@@ -97,8 +106,24 @@ def simulate_gait(
 ) -> GaitResponse:
     """Repeat a gait from rest, as in `steady_state_force`, and return the forces of the last
     window."""
+    return _last_window(steady_state_force(plant, gait, cycles, key, clock), clock)
+
+
+def simulate_gait_with_power(
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
+) -> GaitResponse:
+    """Return the forces like `simulate_gait`, and the power, for a plant that `has_torque`."""
+    commands = _repeated(plant, gait, cycles, clock)
+    _, (reading, hidden) = hold_with_hidden(plant, plant.init(key), commands, clock)
+    assert hidden.torque is not None
+    power = mechanical_power(hidden.torque[:, :1], jnp.asarray(reading.velocity))
+    mean_power = power[-clock.window_ticks :].mean()
+    return _last_window(jnp.asarray(reading.force), clock)._replace(power=mean_power)
+
+
+def _last_window(force: Float[Array, "ticks 2"], clock: ActionClock) -> GaitResponse:
     window = clock.window_ticks
-    last = steady_state_force(plant, gait, cycles, key, clock)[-window:]
+    last = force[-window:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(window)))
 
 
@@ -110,19 +135,57 @@ def steady_state_force(
     Windows shorter than 2 s are repeated for at least as long as windows of 2 s, because the time
     until the wake settles does not depend on the window.
     """
-    windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
-    actions = jnp.tile(jnp.asarray(gait), (windows, 1))
-    commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
+    commands = _repeated(plant, gait, cycles, clock)
     return jnp.asarray(hold(plant, plant.init(key), commands, clock)[1].force)
 
 
+def _repeated(plant: Plant, gait: Gait, cycles: int, clock: ActionClock) -> Command:
+    windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
+    actions = jnp.tile(jnp.asarray(gait), (windows, 1))
+    return jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
+
+
+def gait_powers(
+    plant: Plant,
+    gaits: Float[np.ndarray, "gaits actions 2"],
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+) -> Float[np.ndarray, "gaits"]:
+    """Return the mean power of each gait [W], for a plant that `has_torque`."""
+
+    def power(batch: Float[np.ndarray, "batch actions 2"]) -> np.ndarray:
+        return np.asarray(_powers(plant, jnp.asarray(batch), cycles, key, clock))
+
+    batches = map_in_threads(power, _batches(gaits, SIDE_BY_SIDE))
+    return np.concatenate(batches)[: len(gaits)]
+
+
+@jit("low")
+def _powers(
+    plant: Plant,
+    gaits: Float[Array, "gaits actions 2"],
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+) -> Any:
+    return jax.vmap(lambda gait: simulate_gait_with_power(plant, gait, cycles, key, clock).power)(
+        gaits
+    )
+
+
+SimulateGait = Callable[[Plant, Gait, int, PRNGKeyArray, ActionClock], GaitResponse]
+"""`simulate_gait` or `simulate_gait_with_power`."""
+
+
 class GaitSensitivity(NamedTuple):
-    """Mean forces and Sobolev terms of gaits, with their gradients."""
+    """Mean forces and costs of gaits, with their gradients."""
 
     pre_tanh: PreTanh
-    out: Float[AnyArray, "gaits 3"]
-    """Mean force (x, y) and the sum of both Sobolev terms [N]."""
-    slope: Float[AnyArray, "gaits 3 values"]
+    out: Float[AnyArray, "gaits outputs"]
+    """Mean force (x, y) and the sum of both Sobolev terms [N], and the mean power [W] if it is
+    minimized."""
+    slope: Float[AnyArray, "gaits outputs values"]
     """Gradient of `out` with respect to `pre_tanh`."""
     smoothness: Float[AnyArray, "gaits 2"]
     """Sobolev terms (x, y) [N]."""
@@ -135,13 +198,19 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits actions 2"]) -> PreTanh:
 
 
 def gait_sensitivity(
-    plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
+    plant: Plant,
+    pre_tanh: PreTanh,
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
+    simulate: SimulateGait = simulate_gait,
 ) -> GaitSensitivity:
-    """Simulate gaits; also return the gradients of their forces."""
+    """Simulate gaits; also return the gradients of their forces, and of their power if `simulate`
+    returns it."""
 
     def simulate_batch(batch: PreTanh) -> GaitSensitivity:
         sensitivity: GaitSensitivity = jax.tree.map(
-            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock)
+            np.asarray, _respond(plant, jnp.asarray(batch), cycles, key, clock, simulate)
         )
         return sensitivity
 
@@ -163,15 +232,19 @@ def _respond(
     cycles: int,
     key: PRNGKeyArray,
     clock: ActionClock,
+    simulate: SimulateGait,
 ) -> GaitSensitivity:
-    def out(pre_tanh: Float[Array, "values"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-        got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(-1, 2), cycles, key, clock)
-        return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
+    def out(pre_tanh: Float[Array, "values"]) -> tuple[Float[Array, "outputs"], Float[Array, "2"]]:
+        got = simulate(plant, jnp.tanh(pre_tanh).reshape(-1, 2), cycles, key, clock)
+        outputs = [got.force, got.smoothness.sum()[None]]
+        if got.power is not None:
+            outputs.append(got.power[None])
+        return jnp.concatenate(outputs), got.smoothness
 
     def each(pre_tanh: Float[Array, "values"]) -> GaitSensitivity:
-        # Reverse mode, because there are 3 outputs and at least 12 inputs.
+        # Reverse mode, because there are 3 or 4 outputs and at least 12 inputs.
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
-        slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
+        slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(len(value)))
         return GaitSensitivity(pre_tanh, value, slope, smoothness)
 
     found: GaitSensitivity = jax.vmap(each)(pre_tanh)
@@ -222,6 +295,10 @@ class Survey(NamedTuple):
     reachable: Reachable
     clock: ActionClock
     """Clock of the gaits."""
+    power: Float[np.ndarray, "families centres amplitudes"] | None = None
+    """Mean power over a window [W]; None if not computed."""
+    velocities: Sequence[float] = VELOCITIES
+    """Velocities of the families (`gait_families`)."""
 
 
 def strokes(
@@ -240,30 +317,46 @@ def survey(
     config: SurveyConfig | None = None,
     report: ReportSearch = lambda *_: None,
     clock: ActionClock = PAPER_CLOCK,
+    simulate: SimulateGait = simulate_gait,
+    velocities: Sequence[float] = VELOCITIES,
 ) -> Survey:
-    """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
+    """Simulate the gaits of all families in a plant and estimate the region of reachable forces;
+    also return the power if `simulate` returns it."""
     config = config or SurveyConfig()
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
-    families = gait_families(clock)
+    families = gait_families(clock, velocities)
     gaits = np.concatenate([strokes(*family, *places) for family in families])
-    forces = []
+    responses = []
     for index, part in enumerate(_batches(gaits, config.batch), start=1):
-        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles, clock)))
+        response = _survey_batch(plant, jnp.asarray(part), config.cycles, clock, simulate)
+        responses.append(jax.tree.map(np.asarray, response))
         done = min(index * config.batch, len(gaits))
         report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
-    force = np.concatenate(forces)[: len(gaits)]
+    force, power = jax.tree.map(lambda *x: np.concatenate(x)[: len(gaits)], *responses)
     reachable = _pushed(plant, gaits, force, config, clock)
     report(1.0, "")
-    shape = (len(families), len(CENTRES), len(AMPLITUDES), 2)
-    return Survey(force.reshape(shape), reachable, clock)
+    shape = (len(families), len(CENTRES), len(AMPLITUDES))
+    if power is not None:
+        power = power.reshape(shape)
+    return Survey(force.reshape(*shape, 2), reachable, clock, power, velocities)
 
 
 @jit("low")
-def _mean_forces(
-    plant: Plant, gaits: Float[Array, "n actions 2"], cycles: int, clock: ActionClock
-) -> Float[Array, "n 2"]:
+def _survey_batch(
+    plant: Plant,
+    gaits: Float[Array, "n actions 2"],
+    cycles: int,
+    clock: ActionClock,
+    simulate: SimulateGait,
+) -> tuple[Float[Array, "n 2"], Float[Array, "n"] | None]:
     key = named_key(0, "survey")
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key, clock).force)(gaits)
+
+    def one(gait: Float[Array, "actions 2"]) -> tuple[Array, Array | None]:
+        response = simulate(plant, gait, cycles, key, clock)
+        return response.force, response.power
+
+    found: tuple[Array, Array | None] = jax.vmap(one)(gaits)
+    return found
 
 
 def _pushed(

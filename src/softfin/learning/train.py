@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Key
 from softfin.core.compilation import jit
 from softfin.core.errors import RunError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant
+from softfin.core.plant import Plant, check_power
 from softfin.core.quantities import AXES, AnyArray, Limits
 from softfin.core.randomness import named_key
 from softfin.gaits.reachable import Cells, Reachable
@@ -67,8 +67,10 @@ def train_policies(
 
     Raises:
         ConfigurationError: If the fin can reach none of the references.
+        PlantError: If the power has a weight, but the plant does not provide the torque.
         RunError: If a loss or a force is not finite, or the disk is full.
     """
+    check_power(plant, config.task.reward.power, "task.reward.power")
     limits = Limits(*map(float, plant.limits))
     cells = training_cells(config, reachable)
     task = config.task.scaled(reachable.size)

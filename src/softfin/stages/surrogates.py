@@ -92,7 +92,7 @@ def fit(
     from softfin.data.stroke_time import stroke_time
     from softfin.storage.figures import save_figure
     from softfin.storage.run_directory import RunDirectory
-    from softfin.surrogate import save_surrogate
+    from softfin.surrogate import StreamingSurrogate, save_surrogate
     from softfin.surrogate.channels import SKIPPED, ranges
     from softfin.surrogate.table_one import measured_ranges, table_one
     from softfin.surrogate.training import check_lengths, hold_out
@@ -130,6 +130,7 @@ def fit(
             if scored[0].rows > fitted.memory:
                 save_figure(_predict_test(fitted, scored[0]), folder / "prediction.png")
 
+        power = fitted.power_scores(scored) if isinstance(fitted, StreamingSurrogate) else None
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
         )
@@ -142,6 +143,7 @@ def fit(
             overwrite=overwrite,
             configuration=metadata["configuration"],
             training_range=ranges(opened.train),
+            power=power,
             **entries,
         )
     run_directory.finish()
@@ -177,6 +179,8 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", scored: str) 
     caveat = surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None
     warning = _noise_warning(out, surrogate, opened.train)
     parts = [format_table_one(written["scores"])]
+    if (power := written.get("power")) is not None:
+        parts.append(_describe_power(power))
     if caveat is not None:
         parts.append(f"note: {caveat}")
     refit = written["provenance"].get("refit")
@@ -201,6 +205,7 @@ def _summarize_fit(dataset: Path, out: Path, opened: "OpenedLogs", scored: str) 
         "surrogate": str(out),
         "model": surrogate.model,
         "table_i": written["scores"],
+        "power": power,
         "issues": summary["counts"],
         "columns": summary["columns"],
         "stroke_s": stroke_s,
@@ -218,6 +223,14 @@ def _verdict(table: JsonObject, scored: str) -> str:
     return (
         f"error of the predicted force {force['physical']['rmse']:.2g} N (RMS) in {scored}, "
         f"{100 * force['scaled']['rmse']:.2g}% of its range"
+    )
+
+
+def _describe_power(power: JsonObject) -> str:
+    return (
+        f"error of the predicted mean power {power['rmse_w']:.2g} W (RMS over 2 s) in "
+        f"{counted(power['logs'], 'log')}, {100 * power['rmse_w'] / power['mean_w']:.2g}% of its "
+        f"mean; {100 * power['coverage']:.0f}% of the means are inside their intervals"
     )
 
 

@@ -21,7 +21,15 @@ from softfin.control.policy import PolicyObservation
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
-from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
+from softfin.core.plant import (
+    Plant,
+    State,
+    Ticks,
+    hold_action,
+    hold_action_with_hidden,
+    mean_loads,
+    rest_command,
+)
 from softfin.core.quantities import Command, Limits, action_to_command
 from softfin.core.window import sobolev, window_mean
 from softfin.task.references import ForceBatch, ForcePoint, References
@@ -47,6 +55,8 @@ class RewardTerms(NamedTuple):
     """|F_e|: distance between the mean force over the window and the reference."""
     smoothness: ForceBatch
     """Sobolev term of the window."""
+    power: Float[Array, "*batch"] | None = None
+    """Mean power delivered to the fin during the action [W]; None if it has no weight."""
 
 
 class RewardConfig(Configuration):
@@ -64,12 +74,15 @@ class RewardConfig(Configuration):
     sobolev: Literal["sum", "mean"] = "sum"
     """Form of the Sobolev term: the square root of the sum (as in the paper) or of the mean of
     squared steps."""
+    power: NonNegativeFloat = 0.0
+    """Weight of the mean power delivered to the fin [N/W]; the plant must provide the torque."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
-        """Return the reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
+        """Return the reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) - w_P P [N]."""
         weight = jnp.asarray(self.weight)
         smoothness = jnp.asarray(self.smoothness)
-        return -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)
+        reward = -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)
+        return reward if terms.power is None else reward - self.power * terms.power
 
 
 class TaskConfig(Configuration):
@@ -115,7 +128,7 @@ class TaskConfig(Configuration):
         x, y = self.reward.weight
         values = {
             "force_scale_n": self.force_scale_n * size,
-            "reward": {"weight": (x / size, y / size)},
+            "reward": {"weight": (x / size, y / size), "power": self.reward.power / size},
         }
         return self.merged(values, "size")
 
@@ -199,18 +212,22 @@ class ForceTracking:
         """Hold an action for a number of ticks."""
         reward = self.config.reward
         clock = self.config.clock
-        plant, reading = hold_action(
-            self.plant,
-            state.plant,
-            action_to_command(self.plant.limits, action),
-            ticks,
-            clock.max_ticks,
-        )
+        held = (action_to_command(self.plant.limits, action), ticks, clock.max_ticks)
+        power = None
+        if reward.power:
+            plant, (reading, hidden) = hold_action_with_hidden(self.plant, state.plant, *held)
+            assert hidden.torque is not None
+            (_, power), _ = mean_loads(
+                jnp.asarray(hidden.torque), jnp.asarray(reading.velocity), ticks
+            )
+        else:
+            plant, reading = hold_action(self.plant, state.plant, *held)
         # The window moves by the valid ticks of this action only.
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, clock.window_ticks)
         force_error = window_mean(forces, samples) - state.reference
-        terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, reward.sobolev))
+        smoothness = sobolev(forces, samples, reward.sobolev)
+        terms = RewardTerms(jnp.abs(force_error), smoothness, power)
         # Each key in the chain is used only once, so that no two actions or episodes draw the same
         # numbers.
         key, reference_key = jax.random.split(state.key)

@@ -14,6 +14,7 @@ NeurIPS) of the memory of a force network, which depends on the recent motion.
 """
 
 import functools
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from scipy.special import ndtri, stdtrit
 
 from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AnyArray, Command, Log
 from softfin.core.window import window_means
 from softfin.data.issues import counted
@@ -123,11 +125,12 @@ def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Com
 
 def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
     """Predict the forces for all rows of a motion ``(1 + ticks,)`` except the first [N]."""
-    before, after = _split_first_row(motion)
+    before, after = split_first_row(motion)
     return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
 
 
-def _split_first_row(motion: Motion) -> tuple[Motion, Motion]:
+def split_first_row(motion: Motion) -> tuple[Motion, Motion]:
+    """Return the first row of a motion, and all other rows."""
     return single(motion), jax.tree.map(lambda x: x[1:], motion)
 
 
@@ -149,7 +152,7 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
         return _motions(drives, before, waiting, jax.tree.map(lambda x: x[:, :-1], command))
 
-    return _together(logs, [log.rows for log in logs], predict)
+    return predict_together(logs, [log.rows for log in logs], predict)
 
 
 def predict_force(
@@ -165,10 +168,10 @@ def predict_force(
         force = np.asarray(_forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some)))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
-    return _together(motion, [each.angle.shape[1] for each in motion], predict)
+    return predict_together(motion, [each.angle.shape[1] for each in motion], predict)
 
 
-def _together(
+def predict_together(
     records: Sequence[PyTree], rows: Sequence[int], predict: Callable[[PyTree], PyTree]
 ) -> list[Any]:
     """Predict all records of equal length together, stacked on the second axis."""
@@ -199,28 +202,32 @@ def _forces(nets: ForceNet, motion: Motion) -> Any:
     )
 
 
-class Interval(Configuration):
-    """Interval for the mean force over the evaluation window, on each axis.
+class MeanInterval(Configuration):
+    """Interval for a mean over the evaluation window.
 
-    half width = factor * sqrt(spread^2 + floor^2), where spread^2 is the variance over the members.
+    half width = factor * sqrt(spread^2 + floor^2), where spread^2 is the variance over the members
+    and floor the root mean square error of the ensemble mean on the held-out logs. The floor
+    includes noise, drift and the error common to all members.
     """
 
     coverage: float = Field(gt=0, lt=1)
-    """Target fraction of mean forces inside the interval [-]."""
+    """Target fraction of means inside the interval [-]."""
     factor: float = Field(gt=0)
     """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, increased because there
     are few logs [-]."""
-    floor_n: float = Field(gt=0)
-    """Root mean square error of the ensemble mean on the held-out logs [N]. It includes noise,
-    drift and the error common to all members."""
     windows: int = Field(ge=1)
-    """Number of mean forces used for the calibration, counting both axes."""
+    """Number of means used for the calibration, counting all axes."""
     logs: int = Field(ge=1)
-    """Number of held-out logs from which these mean forces are taken."""
+    """Number of held-out logs from which these means are taken."""
+
+    @property
+    @abstractmethod
+    def noise_floor(self) -> float:
+        """Floor in the unit of the mean."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """Return the half-width of the interval [N] for the mean force of each member."""
-        return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
+        """Return the half-width of the interval for the mean of each member."""
+        return self.factor * (means.var(axis=0) + self.noise_floor**2) ** 0.5
 
     def caveat(self) -> str | None:
         """Return the reason why the interval may be unreliable, or None."""
@@ -233,6 +240,30 @@ class Interval(Configuration):
         )
 
 
+class Interval(MeanInterval):
+    """Interval for the mean force, on each axis."""
+
+    floor_n: float = Field(gt=0)
+    """Floor [N]."""
+
+    @property
+    def noise_floor(self) -> float:
+        """Floor [N]."""
+        return self.floor_n
+
+
+class PowerInterval(MeanInterval):
+    """Interval for the mean power delivered to the fin."""
+
+    floor_w: float = Field(gt=0)
+    """Floor [W]."""
+
+    @property
+    def noise_floor(self) -> float:
+        """Floor [W]."""
+        return self.floor_w
+
+
 def calibrated(
     predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int
 ) -> Interval:
@@ -242,22 +273,36 @@ def calibrated(
     measured = np.concatenate(
         [window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs]
     )
+    floor_n, entries = calibrate(means, measured, len(logs))
+    return Interval(floor_n=floor_n, **entries)
+
+
+def calibrate(
+    means: Float[np.ndarray, "members windows axes"],
+    measured: Float[np.ndarray, "windows axes"],
+    logs: int,
+) -> tuple[float, JsonObject]:
+    """Return the noise floor and the other fields of a `MeanInterval` for the predicted and
+    measured means of a number of logs."""
     # The score of split conformal prediction: ratio = |error| / sqrt(spread^2 + floor^2). The floor
     # keeps the ratio finite where the members agree by chance.
     error = np.abs(means.mean(axis=0) - measured)
-    floor_n = float(np.sqrt(np.mean(error**2)))
-    ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
+    noise_floor = float(np.sqrt(np.mean(error**2)))
+    ratio = error / (means.var(axis=0) + noise_floor**2) ** 0.5
     # A new error and the n known errors are exchangeable, so the quantile of the new error is the
     # quantile of the known errors at COVERAGE (n + 1) / n.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
     # Errors on one log and axis are correlated because they share the same drift. The factor is
-    # multiplied by the ratio of the two-sided quantiles, t(2 K) / z.
+    # multiplied by the ratio of the two-sided quantiles, t(2 K) / z for two axes.
     upper = (1 + COVERAGE) / 2
-    widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
-    return Interval(
-        coverage=COVERAGE, factor=widened, floor_n=floor_n, windows=ratio.size, logs=len(logs)
-    )
+    widened = factor * float(stdtrit(ratio.shape[1] * logs, upper) / ndtri(upper))
+    return noise_floor, {
+        "coverage": COVERAGE,
+        "factor": widened,
+        "windows": ratio.size,
+        "logs": logs,
+    }
 
 
 class Familiarity(eqx.Module):
@@ -312,5 +357,5 @@ def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]
         state, _ = net.step(state, now)
         return state, remembered(state)
 
-    before, after = _split_first_row(motion)
+    before, after = split_first_row(motion)
     return jax.lax.scan(step, net.start(before), after)[1]

@@ -48,6 +48,7 @@ from softfin.surrogate.streaming.segments import (
     slices,
 )
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.surrogate.streaming.torque import fit_torque, with_torque
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best_nets
 
 WARM_UP = 100
@@ -349,8 +350,11 @@ def fit_streaming(
     force_nets = learn("force", joined, force_errors)
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
+    trained = with_torque(motion, training)
+    held = with_torque(held_motion, holding)
+    force_nets, power_interval = fit_torque(force_nets, trained, held, burn_in)
     return StreamingSurrogate(
-        Member(drives, force_nets), command_limits(training), interval, familiarity
+        Member(drives, force_nets), command_limits(training), interval, familiarity, power_interval
     )
 
 

@@ -201,6 +201,11 @@ class ForceNetConfig(Configuration):
     """Number of wake vectors, which are fixed in tank axes. Their initial time constants are 0.05
     to 1.5 s."""
 
+    @property
+    def odd_features(self) -> int:
+        """Number of odd quantities in a `ForceState`."""
+        return self.units + self.wake + 3
+
 
 class ForceState(NamedTuple):
     """State of the force network between ticks."""
@@ -209,6 +214,12 @@ class ForceState(NamedTuple):
     wake: Parity
     """Wake vectors, split into components along and across the fin [-]."""
     motion: Motion
+    rates: Float[Array, "3"]
+    """Rates of the motion in the last tick (`ForceNet.rates`) [-]."""
+
+    def odd_features(self) -> Float[Array, "odd_features"]:
+        """Return all odd quantities of the state; the torque about the shaft is odd as well."""
+        return jnp.concatenate([self.memory.odd, self.wake.odd, self.rates])
 
 
 class ForceNet(eqx.Module):
@@ -236,6 +247,8 @@ class ForceNet(eqx.Module):
     """Angle of the sensor relative to the tank axes [rad]."""
     offset: Float[Array, "2"]
     """Reading of the sensor at zero force, divided by the force scale [-]."""
+    torque: Float[Array, "odd_features"] | None
+    """Coefficients of the torque on the fin [N m]; None if the logs do not contain it."""
     config: ForceNetConfig = eqx.field(static=True)
     scales: Scales = eqx.field(static=True)
 
@@ -250,13 +263,14 @@ class ForceNet(eqx.Module):
         self.resistance = jnp.zeros(3)
         self.mount_turn = jnp.zeros(())
         self.offset = jnp.zeros(2)
+        self.torque = None
         self.config = config
         self.scales = scales
 
     def start(self, motion: Motion) -> ForceState:
         """Return a state with an empty memory and the motion of the previous tick."""
         still = jnp.zeros(self.config.wake)
-        return ForceState(self.core.blank(), Parity(still, still), motion)
+        return ForceState(self.core.blank(), Parity(still, still), motion, jnp.zeros(3))
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
         """Advance to a new motion of the shaft and predict the force reading (x, y) [N]."""
@@ -269,7 +283,7 @@ class ForceNet(eqx.Module):
         )
         pushed = Parity(memory.even @ self.along, memory.odd @ self.across)
         force = self.force(outputs, rates, motion.angle)
-        return ForceState(memory, relax(wake, pushed, self.kept()), motion), force
+        return ForceState(memory, relax(wake, pushed, self.kept()), motion, rates), force
 
     def rates(self, before: Motion, motion: Motion) -> Float[Array, "*shape 3"]:
         """Return the velocity, the change of velocity and the drag, in units of `scales`, for two

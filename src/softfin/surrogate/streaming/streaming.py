@@ -28,6 +28,7 @@ from softfin.surrogate.streaming.ensemble import (
     Interval,
     Member,
     MemberState,
+    PowerInterval,
     ensemble,
     parameters,
     predict_force,
@@ -35,15 +36,24 @@ from softfin.surrogate.streaming.ensemble import (
     remembered,
     single,
 )
-from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
+from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, ForceState
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
+from softfin.surrogate.streaming.torque import (
+    TORQUE,
+    power_means,
+    replace_torque,
+    with_torque,
+)
 from softfin.surrogate.training import check_history, name_net_arrays, restored
 
 SETTLED = 3000
 """Duration of the rest before `init` [ticks]: 20 times the longest initial time constant of the
 wake."""
 
-SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
+
+def _channels(has_torque: bool) -> JsonObject:
+    torque = [TORQUE] if has_torque else []
+    return {"in": list(COMMAND_COLUMNS), "out": [*READINGS, *torque]}
 
 
 class StreamingState(NamedTuple):
@@ -66,6 +76,8 @@ class StreamingSurrogate(eqx.Module):
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
     """Range of the commands in the training data; the networks extrapolate outside it."""
+    power_interval: PowerInterval | None = eqx.field(static=True)
+    """Interval of the mean power; None if the torque is unknown."""
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
     """Names of the fields that are computed from other fields."""
@@ -76,12 +88,18 @@ class StreamingSurrogate(eqx.Module):
     scaling: ClassVar[None] = None
 
     def __init__(
-        self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity
+        self,
+        members: Member,
+        limits: Limits,
+        interval: Interval,
+        familiarity: Familiarity,
+        power_interval: PowerInterval | None = None,
     ) -> None:
         self.members = members
         self.limits = limits
         self.interval = interval
         self.familiarity = familiarity
+        self.power_interval = power_interval
         command = rest_command(limits)
         waiting = jax.tree.map(lambda value: jnp.full(MAX_DELAY, value), command)
         passed = jax.tree.map(lambda value: jnp.full(SETTLED, value), command)
@@ -149,6 +167,15 @@ class StreamingSurrogate(eqx.Module):
         )
         return StreamingState(state.tick + ticks, after), reading
 
+    def torque(self, state: StreamingState) -> Float[Array, "2"] | None:
+        """Return the predicted torque on the fin in the last tick [N m], and NaN for the motor;
+        None if the logs did not contain the torque."""
+        coefficients = self.members.force.torque
+        if coefficients is None:
+            return None
+        features = jax.vmap(ForceState.odd_features)(state.members.force)
+        return jnp.stack([(coefficients * features).sum(axis=1).mean(), jnp.float32(jnp.nan)])
+
     def distance(self, state: StreamingState) -> Float[Array, ""]:
         """Return the distance of the recent motion from the training data; for 1 in 1000 training
         samples, it exceeds 1."""
@@ -196,6 +223,22 @@ class StreamingSurrogate(eqx.Module):
             ),
         }
 
+    def power_scores(self, logs: Sequence[Log]) -> JsonObject | None:
+        """Return the root mean square error of the predicted mean power over 2 s [W], the mean
+        power [W], the fraction of means inside the interval and the number of logs; None without
+        the torque."""
+        recorded = with_torque(predict_motion(self.members.drive, logs), logs)
+        if self.power_interval is None or not recorded:
+            return None
+        means, measured = power_means(self.members.force, recorded, SKIPPED)
+        error = np.abs(means.mean(axis=0) - measured)
+        return {
+            "rmse_w": float(np.sqrt(np.mean(error**2))),
+            "mean_w": float(measured.mean()),
+            "coverage": float((error <= self.power_interval.half_width(means)).mean()),
+            "logs": len(recorded),
+        }
+
     def parameters(self) -> int:
         """Return the number of trainable parameters of all members."""
         return parameters(self.members)
@@ -204,8 +247,10 @@ class StreamingSurrogate(eqx.Module):
         """Return the entries of ``surrogate.json``, and the arrays by path."""
         drive = self.members.drive
         force = self.members.force
+        interval = self.power_interval
+        power = {} if interval is None else {"power_interval": interval.model_dump(mode="json")}
         return {
-            "channels": SURROGATE_CHANNELS,
+            "channels": _channels(interval is not None),
             "members": self.size,
             "networks": {
                 "drive": drive.config.model_dump(mode="json"),
@@ -213,6 +258,7 @@ class StreamingSurrogate(eqx.Module):
             },
             "scales": force.scales.model_dump(mode="json"),
             "interval": self.interval.model_dump(mode="json"),
+            **power,
             "parameters": self.parameters(),
         }, name_net_arrays({"members": self.members, "familiarity": self.familiarity})
 
@@ -232,10 +278,13 @@ class StreamingSurrogate(eqx.Module):
         Raises:
             ArtifactError: If channels or arrays do not match the networks.
         """
-        if description["channels"] != SURROGATE_CHANNELS:
+        power = description.get("power_interval")
+        power_interval = None if power is None else PowerInterval.model_validate(power)
+        channels = _channels(power is not None)
+        if description["channels"] != channels:
             raise ArtifactError(
-                f"{source}: unsupported channels {description['channels']}; streaming surrogates "
-                f"must have {SURROGATE_CHANNELS}"
+                f"{source}: unsupported channels {description['channels']}; this streaming "
+                f"surrogate must have {channels}"
             )
         drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
         force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
@@ -246,15 +295,21 @@ class StreamingSurrogate(eqx.Module):
         def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
+            members = ensemble(size, drive, force, scales, jax.random.key(0))
+            if power is not None:
+                coefficients = jnp.zeros((size, force.odd_features))
+                members = eqx.tree_at(
+                    lambda each: each.force, members, replace_torque(members.force, coefficients)
+                )
             return {
-                "members": ensemble(size, drive, force, scales, jax.random.key(0)),
+                "members": members,
                 "familiarity": familiarity,
             }
 
         trees = restored(eqx.filter_eval_shape(skeleton), weights, source)
         limits = Limits.of(description["limits"])
         interval = Interval.model_validate(description["interval"])
-        return cls(trees["members"], limits, interval, trees["familiarity"])
+        return cls(trees["members"], limits, interval, trees["familiarity"], power_interval)
 
 
 @jit("none")
