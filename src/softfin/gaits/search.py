@@ -267,8 +267,8 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape, power: float
         apart = np.linalg.norm(response[None, :, :2] - np.asarray(target)[:, None], axis=-1)
         if survey.power is not None:
             apart += min(power, START_POWER) * response[:, 2]
-        large = np.tile(places[:, 1] / AMPLITUDES[-1], together)
-        nearest = np.argmin(apart + LARGE_N * large, axis=1)
+        large = np.tile(LARGE_N * places[:, 1] / AMPLITUDES[-1], together)
+        nearest = np.argmin(apart + large, axis=1)
         for _ in range(SWEEPS):
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
