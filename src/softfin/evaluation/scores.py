@@ -117,9 +117,9 @@ def _mean_power(
     power: Float[np.ndarray, "references seeds ticks 2"],
 ) -> Float[np.ndarray, "references seeds 2"]:
     """Return the means over the known values; NaN if fewer than half are known."""
-    known = np.isfinite(power)
-    count = known.sum(axis=2)
-    means = np.where(known, power, 0.0).sum(axis=2) / np.maximum(count, 1)
+    is_finite = np.isfinite(power)
+    count = is_finite.sum(axis=2)
+    means = np.where(is_finite, power, 0.0).sum(axis=2) / np.maximum(count, 1)
     return np.where(2 * count >= power.shape[2], means, math.nan)
 
 

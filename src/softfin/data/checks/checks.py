@@ -638,17 +638,17 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
             yield log.issue("warning", "constant", name, message, "remove the column")
     if column not in moving:
         return
-    known = np.isfinite(moving[column])
-    torque = moving[column][known]
+    is_measured = np.isfinite(moving[column])
+    torque = moving[column][is_measured]
     torque = torque - torque.mean()
-    force = log.columns.force[log.moving][known]
+    force = log.columns.force[log.moving][is_measured]
     force = force - force.mean()
     if not force.std():
         return
     parts = np.stack([force.real, force.imag], axis=1)
     share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
     lever_m = torque.std() / force.std()
-    power_w = torque * log.columns.velocity[log.moving][known]
+    power_w = torque * log.columns.velocity[log.moving][is_measured]
     blocks = np.array([block.mean() for block in np.array_split(power_w, POWER_BLOCKS)])
     error_w = blocks.std(ddof=1) / POWER_BLOCKS**0.5
     if lever_m > MAX_LEVER_M:
