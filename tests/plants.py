@@ -179,3 +179,20 @@ class NoisyFin(StrokeFin):
     @property
     def mean_force_noise_n(self) -> float:
         return self.noise_n
+
+
+class DrivenFin(AnalyticFin):
+    """The first fin without noise, with a torque of the water of speed |speed| / 5 [N m]."""
+
+    noise_n: float = 0.0
+
+    def init(self, key):
+        return super().init(key), jnp.float32(0.0)
+
+    def advance(self, state, command, ticks):
+        fin, reading = super().advance(state[0], command, ticks)
+        return (fin, reading.velocity[-1]), reading
+
+    def torque(self, state):
+        speed = state[1]
+        return jnp.stack([speed * jnp.abs(speed) / 5, jnp.nan])

@@ -178,7 +178,7 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(
 ) -> None:
     """Of two families of strokes, so that the search is short."""
     for module in (survey_module, search):
-        monkeypatch.setattr(module, "gait_families", lambda clock: gait_families(clock)[:2])
+        monkeypatch.setattr(module, "gait_families", lambda *clock: gait_families(*clock)[:2])
     monkeypatch.setattr(survey_module, "SIDE_BY_SIDE", 4)
     fin = read_keras_surrogate(
         published / "cnn_pos_net.keras",

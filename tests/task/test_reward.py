@@ -8,7 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.core.window import moving_average, sobolev, window_mean
-from softfin.task.task import RewardConfig, RewardTerms
+from softfin.gaits.reachable import Cell
+from softfin.task.references import References
+from softfin.task.task import ForceTracking, RewardConfig, RewardTerms, TaskConfig
+from tests.plants import DrivenFin
 
 FORCES = np.random.default_rng(0).normal(0, 4, (200, 2)).astype(np.float32)
 
@@ -57,7 +60,7 @@ def test_the_reward_is_the_negative_weighted_sum_over_the_axes() -> None:
     terms = RewardTerms(error, smoothness)
     value = RewardConfig(weight=(1.0, 10.0), smoothness=(0.1, 0.2)).value(terms)
     assert float(value) == pytest.approx(-(1 * (0.5 + 0.1 * 3) + 10 * (2 + 0.2 * 4)))
-    many = RewardConfig().value(RewardTerms(*(jnp.tile(x, (3, 4, 1)) for x in terms)))
+    many = RewardConfig().value(RewardTerms(*(jnp.tile(x, (3, 4, 1)) for x in terms[:2])))
     assert many.shape == (3, 4)
 
 
@@ -70,3 +73,17 @@ def test_the_moving_average_is_the_mean_of_every_whole_window() -> None:
     average = moving_average(jnp.asarray(FORCES), 30)
     expected = [FORCES[i : i + 30].mean(axis=0) for i in range(171)]
     np.testing.assert_allclose(average, expected, atol=1e-4)
+
+
+def test_power_has_its_weight() -> None:
+    """The mean power of the action; a fin without torque has none."""
+    rewards = {}
+    for weight in (0.0, 0.5):
+        task = ForceTracking(DrivenFin(), TaskConfig(reward={"power": weight}))
+        state = task.reset(jax.random.key(0), References.of(Cell(low=(1, -1), high=(3, 1))))
+        rewards[weight] = jax.jit(task.step)(state, jnp.array([0.5, 0.9]), 33)[1]
+    assert rewards[0.0].terms.power is None
+    power = float(rewards[0.5].terms.power)
+    # A stroke of 0.8 rad at up to 3 rad/s, against |speed|^3 / 5.
+    assert 0.5 < power < 5.4
+    assert float(rewards[0.5].reward) == pytest.approx(float(rewards[0.0].reward) - 0.5 * power)
