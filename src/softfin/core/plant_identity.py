@@ -31,8 +31,9 @@ def identity(plant: Plant) -> str:
     every process.
 
     The hash excludes the fields in the class attribute `computed`: XLA computed them from other
-    fields, and their last bits depend on the processor. Raises PlantError if the plant is not a
-    pytree and has no attribute `identity`.
+    fields, and their last bits depend on the processor. It also excludes the fields in `optional`
+    that are None: they were added later, and identities are stored in files. Raises PlantError if
+    the plant is not a pytree and has no attribute `identity`.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
@@ -100,8 +101,10 @@ def _members(value: object, place: str, plant: str) -> Iterable[tuple[object, ob
         return [("function", value.func), ("arguments", value.args), ("options", value.keywords)]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         computed = getattr(value, "computed", ())
-        names = [field.name for field in dataclasses.fields(value)]
-        return [(name, getattr(value, name)) for name in names if name not in computed]
+        optional = getattr(value, "optional", ())
+        names = [field.name for field in dataclasses.fields(value) if field.name not in computed]
+        members = [(name, getattr(value, name)) for name in names]
+        return [each for each in members if each[0] not in optional or each[1] is not None]
     raise PlantError(
         f"plant {plant}: {place} is a {type(value).__qualname__}, which cannot be compared; make "
         f"it an equinox.Module, or {STATE_IDENTITY}"

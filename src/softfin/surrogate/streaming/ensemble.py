@@ -215,10 +215,6 @@ class MeanInterval(Configuration):
     factor: float = Field(gt=0)
     """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, increased because there
     are few logs [-]."""
-    windows: int = Field(ge=1)
-    """Number of means used for the calibration, counting all axes."""
-    logs: int = Field(ge=1)
-    """Number of held-out logs from which these means are taken."""
 
     @property
     @abstractmethod
@@ -228,6 +224,23 @@ class MeanInterval(Configuration):
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Return the half-width of the interval for the mean of each member."""
         return self.factor * (means.var(axis=0) + self.noise_floor**2) ** 0.5
+
+
+# The order of the fields is part of the identity of a surrogate.
+class Interval(MeanInterval):
+    """Interval for the mean force, on each axis."""
+
+    floor_n: float = Field(gt=0)
+    """Floor [N]."""
+    windows: int = Field(ge=1)
+    """Number of mean forces used for the calibration, counting both axes."""
+    logs: int = Field(ge=1)
+    """Number of held-out logs from which these mean forces are taken."""
+
+    @property
+    def noise_floor(self) -> float:
+        """Floor [N]."""
+        return self.floor_n
 
     def caveat(self) -> str | None:
         """Return the reason why the interval may be unreliable, or None."""
@@ -240,23 +253,15 @@ class MeanInterval(Configuration):
         )
 
 
-class Interval(MeanInterval):
-    """Interval for the mean force, on each axis."""
-
-    floor_n: float = Field(gt=0)
-    """Floor [N]."""
-
-    @property
-    def noise_floor(self) -> float:
-        """Floor [N]."""
-        return self.floor_n
-
-
 class PowerInterval(MeanInterval):
     """Interval for the mean power delivered to the fin."""
 
     floor_w: float = Field(gt=0)
     """Floor [W]."""
+    windows: int = Field(ge=1)
+    """Number of mean powers used for the calibration."""
+    logs: int = Field(ge=1)
+    """Number of held-out logs from which these mean powers are taken."""
 
     @property
     def noise_floor(self) -> float:

@@ -6,7 +6,7 @@ the angular velocity and the y force (odd quantities), but not of the x force an
 quantities). The recurrent core of both networks has this symmetry by construction.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -249,6 +249,8 @@ class ForceNet(eqx.Module):
     """Reading of the sensor at zero force, divided by the force scale [-]."""
     torque: Float[Array, "odd_features"] | None
     """Coefficients of the torque on the fin [N m]; None if the logs do not contain it."""
+    optional: ClassVar[tuple[str, ...]] = ("torque",)
+    """Names of the fields that do not change the identity if they are None."""
     config: ForceNetConfig = eqx.field(static=True)
     scales: Scales = eqx.field(static=True)
 

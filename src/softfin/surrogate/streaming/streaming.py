@@ -81,6 +81,8 @@ class StreamingSurrogate(eqx.Module):
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
     """Names of the fields that are computed from other fields."""
+    optional: ClassVar[tuple[str, ...]] = ("power_interval",)
+    """Names of the fields that do not change the identity if they are None."""
     model: ClassVar[str] = "streaming"
     memory: ClassVar[int] = 300
     """Number of rows of a log that `warm` needs: the duration of a stroke at the paper's lowest
