@@ -58,19 +58,14 @@ def day(quick: bool) -> None:
     )
     softfin("map", "surrogate", "--out", "controller", *settings(lattice))
 
-    # Afternoon: hold forces, judge, hand on.
+    # Afternoon: hold forces, judge, hand on. The emulated fin is that of the default tank.
+    few = ("--fins=20", "--nodes=3", "--nominal-nodes=3") if quick else ()
+    softfin("family", "controller", "--plant", "tank", *few)
     amount = ("--seconds=5", "--repeats=1") if quick else ("--seconds=20", "--repeats=2")
-    judged = (
-        "evaluate",
-        "controller",
-        "--plant",
-        "rig",
-        "--out",
-        "evaluation",
-        "--reference=1.5,-0.5",
-        "--feedback",
-    )
-    softfin(*judged, *amount, *MOVES)
+    judged = ("evaluate", "controller", "--plant", "rig", "--reference=1.5,-0.5", "--feedback")
+    softfin(*judged, "--out", "evaluation", *amount, *MOVES)
+    torque_only = ("--feedback.uses=torque", "--out", "evaluation-torque")
+    softfin(*judged, *torque_only, *amount, *MOVES)
     held = ("--reference=1.5,-0.5", "--seconds=5", "--feedback", "--bag", "run.mcap")
     softfin("run", "controller", *held, *MOVES)
     softfin("export", "controller", "--onnx", "controller.onnx")

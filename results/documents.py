@@ -7,9 +7,10 @@ two comments.
 
 ``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure,
 ``{PART.FIGURE:.2f}`` has other digits than three and ``{PART.FIGURE:.2f plain}`` another summary
-(mean, plain for a mean without its interval, median, worst). A line below a table names the files,
-seeds and dates of its figures; elsewhere ``{PART}`` does so. The evidence page of the site adds
-commands, commits, machine and age.
+(mean, plain for a mean without its interval, median, worst). ``{PART.FIGURE?}`` may be newer than
+the JSON file; the document then says that it is not yet measured. A line below a table names the
+files, seeds and dates of its figures; elsewhere ``{PART}`` does so. The evidence page of the site
+adds commands, commits, machine and age.
 """
 
 import math
@@ -24,9 +25,11 @@ from results.record import load, short_source, shown
 BLOCKS = ROOT / "results" / "blocks"
 
 BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-PLACE = re.compile(r"\{([a-z][\w-]*)(?:\.([^{}:]+))?(?::(\S+?)(?: (\w+))?)?\}")
+PLACE = re.compile(r"\{([a-z][\w-]*)(?:\.([^{}:?]+)(\?)?)?(?::(\S+?)(?: (\w+))?)?\}")
 
 DEFAULT_FORM = ".3f"
+
+NOT_MEASURED = "not yet measured"
 
 
 def documents() -> list[Path]:
@@ -54,10 +57,12 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
     records: dict[str, dict[str, Any]] = {}
 
     def fill(found: re.Match[str]) -> str:
-        part, name, form, summary = found.groups()
+        part, name, is_new, form, summary = found.groups()
         record = read(part)
         if name is None:
             return short_source(part, record)
+        if is_new and name not in record["figures"]:
+            return NOT_MEASURED
         if name not in record["figures"]:
             raise KeyError(
                 f"results/{part}.json has no figure {name}; it has {', '.join(record['figures'])}"
@@ -85,7 +90,7 @@ def printed_digits() -> dict[tuple[str, str], float]:
     finest of several."""
     digits: dict[tuple[str, str], float] = {}
     for path in sorted(BLOCKS.glob("*.md")):
-        for part, name, form, _ in PLACE.findall(path.read_text()):
+        for part, name, _, form, _ in PLACE.findall(path.read_text()):
             digits[part, name] = min(
                 last_digit(form or DEFAULT_FORM), digits.get((part, name), math.inf)
             )

@@ -42,6 +42,8 @@ class Step(NamedTuple):
     """Options added at the tiny scale, which shows only that everything works."""
     extra: str | None = None
     """Module of an optional dependency that the step needs."""
+    after: tuple[str, ...] = ()
+    """Names of steps that the step needs but its command does not name."""
 
     @property
     def program(self) -> str:
@@ -69,10 +71,11 @@ def step(
     seed: int | None = None,
     tiny: str = "",
     extra: str | None = None,
+    after: tuple[str, ...] = (),
 ) -> Step:
     """Make a step from its command line; softfin's commands write to the step's name."""
     words = (*shlex.split(command), *(("--out", name) if command.startswith("softfin") else ()))
-    return Step(name, words, minutes, seed, tuple(shlex.split(tiny)), extra)
+    return Step(name, words, minutes, seed, tuple(shlex.split(tiny)), extra, after)
 
 
 class Runner:
@@ -102,8 +105,9 @@ class Runner:
         self._records_of_this_run: dict[str, dict[str, Any]] = {}
 
     def needs(self, each: Step) -> list[Step]:
-        """Return the steps whose results a command names."""
-        names = {word.partition("/")[0] for word in each.words[2:]} - {each.name}
+        """Return the steps whose results a step needs: most of them are named in its command."""
+        named = (word.partition("/")[0] for word in each.words[2:])
+        names = {*named, *each.after} - {each.name}
         return [other for name, other in self.steps.items() if name in names]
 
     def ordered(self, steps: Sequence[Step]) -> Iterator[Step]:

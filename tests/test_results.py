@@ -48,6 +48,30 @@ def test_a_figure_that_is_not_there_is_named():
         documents.block("{tank.nothing}")
 
 
+def test_a_figure_that_may_be_newer_than_its_file_is_said_to_be_missing():
+    text = documents.block("{tank.nothing?:.1f} N, {demo.gaits.error?:.1f} N\n")
+    assert text == f"not yet measured N, {documents.block('{demo.gaits.error:.1f}')} N\n"
+
+
+FEEDBACK = [name for name in STEPS if "--feedback" in STEPS[name].words]
+
+
+def test_feedback_of_gaits_has_a_family_and_that_of_policies_has_none():
+    kinds = {name: "single" in name or "grid" in name for name in FEEDBACK}
+    assert {bool(STEPS[name].after) != is_policy for name, is_policy in kinds.items()} == {True}
+    assert set(kinds.values()) == {True, False}
+
+
+@pytest.mark.parametrize("name", [name for name in FEEDBACK if STEPS[name].after])
+def test_feedback_is_evaluated_after_the_search_for_the_family(name, tmp_path):
+    each = STEPS[name]
+    (family,) = each.after
+    ordered = [other.name for other in Runner(tmp_path, tuple(STEPS.values())).ordered([each])]
+    assert ordered.index(family) < ordered.index(name)
+    assert STEPS[family].words[2:] == (each.words[2], "--plant", "tank")
+    assert ordered.index(STEPS[family].words[2].partition("/")[0]) < ordered.index(family)
+
+
 def test_the_line_below_a_table_names_files_seeds_and_dates():
     line = documents.block("| {demo.gaits.error} |\n").splitlines()[-1]
     assert line == f"*Sources: `demo.json` (5 seeds, {record.load('demo')['date']}).*"
@@ -118,7 +142,8 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
     each = STEPS[name]
     assert 0 < each.minutes <= 60
     if each.words[0] == "softfin":
-        assert each.words[-2:] == ("--out", name)
+        # A family is written into the folder of its controller.
+        assert each.words[-2:] == ("--out", name) or each.program == "family"
         understood(each.words[1:])
         understood((*each.words[1:], *each.tiny))
     elif each.program.startswith("studies."):

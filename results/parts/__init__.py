@@ -4,7 +4,16 @@
 import json
 from collections.abc import Callable, Sequence
 
-from results.parts.common import Figures, Part, Work, evaluation_seed, names_of, pair
+from results.parts.common import (
+    TORQUE_ONLY,
+    Figures,
+    Part,
+    Work,
+    evaluation_seed,
+    find_family,
+    names_of,
+    pair,
+)
 from results.parts.controllers import (
     baselines_published,
     baselines_tank,
@@ -50,11 +59,28 @@ varies."""
 
 
 def demo(seeds: Sequence[int]) -> Part:
-    """``make demo``."""
+    """``make demo``, whose feedback has no family, and feedback with a family on its gaits."""
     # One seed is that of the whole chain here, the evaluation included.
     seeds = [evaluation_seed(seed) for seed in seeds]
     command = "softfin reproduce --preset demo --plant tank --seed"
     runs = [step(f"demo-{seed}", f"{command} {seed}", 2.5, seed) for seed in seeds]
+    families = [find_family(run, "/gaits") for run in runs]
+    ways = {"family": "--feedback", "torque": TORQUE_ONLY}
+    judged = {
+        way: [
+            step(
+                f"{way}-evaluation-demo-{seed}",
+                f"softfin evaluate demo-{seed}/gaits --plant tank {options} --repeats 1 "
+                f"--seed {seed}",
+                0.5,
+                seed,
+                "--seconds 6",
+                after=(found.name,),
+            )
+            for seed, found in zip(seeds, families, strict=True)
+        ]
+        for way, options in ways.items()
+    }
 
     def read(work: Work) -> Figures:
         names = names_of(runs)
@@ -63,15 +89,22 @@ def demo(seeds: Sequence[int]) -> Part:
             key: work.spent([[name] for name in names], seeds, key)
             for key in ("wall_s", "processor_s")
         }
-        for key, name in (("error", "controllers"), ("feedback", "trimmed")):
-            for kind in found[0].get(name) or ():
-                means = [row[name][kind]["mean"] for row in found]
-                figures[f"{kind}.{key}"] = figure("N", [pair(mean) for mean in means], seeds)
-                readings = [pair(mean, "reading_error_n") for mean in means]
-                figures[f"{kind}.{key}.reading"] = figure("N", readings, seeds)
+        means = {
+            f"{kind}.{key}": [row[name][kind]["mean"] for row in found]
+            for key, name in (("error", "controllers"), ("feedback", "trimmed"))
+            for kind in found[0].get(name) or ()
+        }
+        for way, those in judged.items():
+            rows = work.evaluations(names_of(those))
+            means[f"gaits.{way}"] = [row["mean"] for row in rows]
+        for key, scores in means.items():
+            figures[key] = figure("N", [pair(mean) for mean in scores], seeds)
+            readings = [pair(mean, "reading_error_n") for mean in scores]
+            figures[f"{key}.reading"] = figure("N", readings, seeds)
         return figures
 
-    return Part("make demo", tuple(runs), read)
+    steps = (*runs, *families, *(each for those in judged.values() for each in those))
+    return Part("make demo", steps, read)
 
 
 def rig_day(seeds: Sequence[int]) -> Part:
@@ -79,8 +112,11 @@ def rig_day(seeds: Sequence[int]) -> Part:
     day = step("rig-day", "python examples/rig_day.py --out rig-day", 20, tiny="--quick")
 
     def read(work: Work) -> Figures:
-        mean = work.json("rig-day/evaluation/evaluation.json")["mean"]
-        return {"error": figure("N", [pair(mean)])}
+        folders = {"error": "evaluation", "torque": "evaluation-torque"}
+        return {
+            key: figure("N", [pair(work.json(f"rig-day/{folder}/evaluation.json")["mean"])])
+            for key, folder in folders.items()
+        }
 
     return Part("A day at an emulated rig", (day,), read)
 

@@ -128,7 +128,7 @@ def perturbed_tank_logs(seed: int) -> Step:
     return step(f"perturbed-{seed}", command, 1, seed, "--test-logs 2 --rows 1500")
 
 
-TINY_NETS = "--members 2 --drive-updates 2 --force-updates 2 --batch 8"
+TINY_NETS = "--members 2 --drive-updates 60 --force-updates 120 --batch 8"
 TINY_MAP = "--gaits.steps 6 --survey.directions 8 --survey.pushes 0 --spacing-n 1"
 TINY_TRAINING = "--num-evaluations 1 --policy.units 8 --policy.width 8 --steps 960"
 
@@ -196,8 +196,33 @@ def evaluation_seed(seed: int) -> int:
 
 
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
-    """Evaluation of a trained controller, with the noise, drift and tanks of its seed."""
+    """Evaluation of a trained controller, with the noise, drift and tanks of its seed; of gaits
+    with feedback, after the step of `find_family`."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
     seed = "" if controller.seed is None else f" --seed {evaluation_seed(controller.seed)}"
     command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
-    return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)
+    # Policies have no family.
+    has_family = "--feedback" in options and controller.program == "map"
+    after = (_family_name(controller.name),) if has_family else ()
+    return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny, after=after)
+
+
+TORQUE_ONLY = "--feedback --feedback.uses torque"
+"""Options of feedback without a force sensor."""
+
+
+def find_family(controller: Step, folder: str = "") -> Step:
+    """Search for the family of a controller in the tank, which is written into the folder of the
+    controller; `folder` is its path below the result of the step."""
+    words = ("softfin", "family", f"{controller.name}{folder}", "--plant", "tank")
+    tiny = ("--fins", "20", "--nodes", "3", "--nominal-nodes", "3")
+    return Step(_family_name(controller.name), words, 1.5, controller.seed, tiny)
+
+
+def families_before(judged: Sequence[Step], controller: Step) -> list[Step]:
+    """The search for the family of a controller, if an evaluation needs it."""
+    return [find_family(controller)] if any(each.after for each in judged) else []
+
+
+def _family_name(controller: str) -> str:
+    return f"family-{controller}"

@@ -8,12 +8,14 @@ from results.parts.common import (
     PAPER_BOX,
     PUBLISHED,
     TINY_MAP,
+    TORQUE_ONLY,
     Figures,
     Part,
     Work,
     dataset,
     evaluate,
     evaluation_seed,
+    families_before,
     make_controller,
     names_of,
     pair,
@@ -80,6 +82,8 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
         "tank-feedback": "--feedback",
         "perturbed": "--randomize 0.15 --repeats 20",
         "perturbed-feedback": "--randomize 0.15 --repeats 20 --feedback --moving",
+        "tank-torque": TORQUE_ONLY,
+        "perturbed-torque": f"--randomize 0.15 --repeats 20 {TORQUE_ONLY} --moving",
     }
     return _in_tank(
         "Controllers from streaming surrogates in the tank",
@@ -144,14 +148,14 @@ def _in_tank(
             plants = {"within": f"{model}-{seed}"}
             judged = [
                 evaluate(trained, plants.get(name, "tank"), name, way, 0.5)
-                for name, way in ways.items()
+                for name, way in _ways_of(kind, ways).items()
             ]
-            steps += [trained, *judged]
+            steps += [trained, *families_before(judged, trained), *judged]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for kind in kinds:
-            for way in ways:
+            for way in _ways_of(kind, ways):
                 key = f"{kind}.{way}"
                 rows = work.evaluations([f"{way}-{kind}-{model}-{seed}" for seed in seeds])
                 figures[key] = figure("N", [pair(row["mean"]) for row in rows], seeds)
@@ -179,6 +183,11 @@ def _in_tank(
         return figures
 
     return Part(title, tuple(steps), read)
+
+
+def _ways_of(kind: str, ways: Mapping[str, str]) -> dict[str, str]:
+    """Only gaits are judged without a force sensor."""
+    return {name: way for name, way in ways.items() if kind == "gaits" or TORQUE_ONLY not in way}
 
 
 def baselines_published(seeds: Sequence[int]) -> Part:

@@ -227,6 +227,40 @@ def test_a_sudden_change_without_a_family_is_corrected() -> None:
     assert abs(float(estimates.drift[-1, 0])) < 0.06
 
 
+@pytest.mark.parametrize("jump_n", [0.15, 0.5, 2.0])
+@pytest.mark.parametrize("action", [120, 122, 125])
+def test_a_sensor_that_jumps_is_not_taken_for_a_changed_fin(jump_n: float, action: int) -> None:
+    """Anywhere within a window. Without a family, half of the jump or more would be corrected."""
+    sensor = np.where((np.arange(240) < action)[:, None], (0.0, 0.0), (jump_n, -jump_n))
+    force, estimates = run(Feedback(Carrier(), family=FAMILY), still(240), 0, sensor)
+    np.testing.assert_allclose(window(force, 240), 1, atol=0.03)
+    drift = np.asarray(estimates.drift)[-1]
+    np.testing.assert_allclose(drift, (jump_n, -jump_n), atol=0.04)
+    assert np.asarray(estimates.level).max() < UNFAMILIAR
+
+
+def test_a_jump_of_the_sensor_does_not_decay() -> None:
+    """Over 20 min, whereas the drift tends to 0."""
+    sensor = np.where((np.arange(3600) < 120)[:, None], (0.0, 0.0), (2.0, -2.0))
+    force, estimates = run(Feedback(Carrier(), family=FAMILY), still(3600), 0, sensor)
+    np.testing.assert_allclose(window(force, 3600), 1, atol=0.03)
+    np.testing.assert_allclose(np.asarray(estimates.drift)[-1], (2.0, -2.0), atol=0.04)
+
+
+def test_without_drift_every_error_is_that_of_the_fin() -> None:
+    sensor = np.where((np.arange(240) < 120)[:, None], (0.0, 0.0), (0.5, -0.5))
+    config = FeedbackConfig(drift_n=0.0)
+    force, _ = run(Feedback(Carrier(), config, FAMILY), still(240), 0, sensor)
+    np.testing.assert_allclose(window(force + sensor, 240), 1, atol=0.1)
+
+
+def test_a_fin_that_changes_while_the_sensor_has_jumped_is_corrected() -> None:
+    changed = np.where((np.arange(360) < 240)[:, None], (0.0, 0.0), (1.0, -0.7))
+    sensor = np.where((np.arange(360) < 120)[:, None], (0.0, 0.0), (0.5, 0.3))
+    force, _ = run(Feedback(Carrier(), family=FAMILY), still(360), 0, sensor, changed)
+    np.testing.assert_allclose(window(force, 360), 1, atol=0.05)
+
+
 def test_the_ripple_of_a_gait_is_not_taken_for_an_error() -> None:
     force, _ = run(Feedback(Carrier()), still(60))
     np.testing.assert_allclose(force[12:], 1, atol=1e-4)
@@ -259,6 +293,16 @@ def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
     controller.check((1.0, 1.0))
     with pytest.raises(CoverageError, match="outside"):
         controller.check((9.0, 0.0))
+
+
+def test_a_policy_does_not_repeat_so_its_windows_count_less() -> None:
+    class Policy(Carrier):
+        kind = "single"
+
+    (gaits, policy) = (Feedback(each).newtons for each in (Carrier(), Policy()))
+    assert gaits is not None
+    assert policy is not None
+    assert policy.noise_n == 10 * gaits.noise_n
 
 
 def test_torque_needs_a_family() -> None:

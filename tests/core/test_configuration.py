@@ -74,6 +74,7 @@ def test_equal_configurations_hash_equal_so_that_programs_are_compiled_once():
     [
         ("step=4", "step: unknown option; did you mean --steps?"),
         ("iner.rate=1", "iner.rate: unknown option; did you mean --inner?"),
+        ("trim.drift_n=1", r"trim.drift_n: unknown option; it is now --feedback\.drift-n$"),
         ("inner.rat=1", "unknown key 'inner.rat'; did you mean 'rate'?"),
         ("steps.x=1", "steps = {'x': 1}: Input should be a valid integer"),
         ("inner.rate=-1", r"inner.rate = -1: Input should be greater than 0"),
@@ -127,6 +128,29 @@ def test_an_option_wins_over_a_field_which_wins_over_the_file(tmp_path):
     assert configure(Outer(), str(file), steps=None).steps == 5
     assert configure(Outer(), {"inner": {"name": "c"}}).inner == Inner(name="c")
     assert configure(Outer(), Outer(steps=9)).steps == 9
+
+
+class Tuned(Configuration):
+    inner: Inner = Inner(rate=0.7)
+
+
+class Deep(Configuration):
+    tuned: Tuned = Tuned()
+    optional: Inner | None = None
+
+
+def test_a_field_that_equals_its_default_is_known_to_be_set():
+    typed = Changes(None, {"--optional.rate": "0.1"})
+    config = configure(Deep(), typed, optional={})
+    assert config == Deep(optional=Inner())
+    assert config.model_fields_set == {"optional"}
+    assert config.optional.model_fields_set == {"rate"}
+    assert configure(Deep(), None, optional={}).optional.model_fields_set == set()
+
+
+def test_fields_that_are_not_set_keep_the_values_of_the_default_around_them():
+    config = configure(Deep(), {"tuned": {"inner": {"name": "b"}}})
+    assert config == Deep(tuned=Tuned(inner=Inner(rate=0.7, name="b")))
 
 
 def test_the_configuration_of_something_else_is_refused():

@@ -1,5 +1,7 @@
 """The family of a fin: found in the tank, stored beside its controller, used by feedback."""
 
+import dataclasses
+import importlib
 import json
 from pathlib import Path
 
@@ -7,13 +9,17 @@ import numpy as np
 import pytest
 
 import softfin
-from softfin.control.family import FEATURES, load_family
+from softfin.control.family import FEATURES, load_family, save_family
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.operations import NUMPY
 from softfin.evaluation.find_family import FamilyConfig
+from softfin.gaits.reachable import Cell
+from softfin.tank import Tank
 from tests.gaits.known import save_known
 from tests.plants import StrokeFin
+
+find_family_module = importlib.import_module("softfin.evaluation.find_family")
 
 TINY = {"fins": 20, "nodes": 3, "nominal_nodes": 3, "coefficients": 3}
 
@@ -77,6 +83,38 @@ def test_a_family_is_for_the_weights_of_its_controller(gaits, tmp_path):
     (copy / "family" / "weights.safetensors").write_bytes(b"")
     with pytest.raises(ArtifactError, match="damaged"):
         load_family(copy, load_controller(copy))
+
+
+def test_a_family_whose_friction_has_another_shape_is_damaged(gaits, tmp_path):
+    copy = save_known(tmp_path / "copy")
+    controller = load_controller(gaits)
+    family = load_family(gaits, controller)
+    keys = {"configuration": {"fins": 20}}
+    save_family(copy, controller, family._replace(friction=family.friction[:, :2]), keys)
+    with pytest.raises(ArtifactError, match=r"damaged \(arrays of shape"):
+        load_family(copy, controller)
+
+
+def test_gaits_are_run_only_at_references_within_their_cell(gaits, monkeypatch):
+    """It may be smaller than the reach."""
+    controller = load_controller(gaits)
+    cell = Cell(low=(0.5, -0.5), high=(1.0, 0.5))
+    tried = []
+
+    def run(controller, fin, references):
+        tried.append(np.asarray(references))
+        return find_family_module._Steady(
+            np.zeros((len(references), 2)),
+            np.zeros((len(references), 6, len(FEATURES))),
+            np.zeros((len(references), 6, 2)),
+        )
+
+    monkeypatch.setattr(find_family_module, "_run_references", run)
+    find_family_module.find_family(
+        dataclasses.replace(controller, cells=(cell,)), Tank(), FamilyConfig.build(TINY)
+    )
+    for x, y in np.concatenate(tried).tolist():
+        assert cell.distance((x, y)) < 1e-6
 
 
 def test_no_family_is_none(tmp_path):

@@ -1,11 +1,14 @@
 import pytest
 import yaml
 
+from softfin.control.feedback import FeedbackConfig
+from softfin.core.configuration import Changes, configure
 from softfin.core.errors import RigError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
+from softfin.stages.driving import RunConfig
 from softfin.stages.machines import find_robot
 from tests.rig.machines import FreeFin
 from tests.rig.test_config import VALUES, written
@@ -46,6 +49,17 @@ def test_a_controller_of_another_fin_is_refused():
 def test_a_controller_that_commands_more_than_the_machine_takes_is_refused(change, words):
     with pytest.raises(RigError, match=words):
         robot().check_fits("c", LIMITS._replace(**change), None)
+
+
+def test_an_option_overrides_the_rig_file_even_if_it_equals_the_default():
+    setup = RobotSetup(
+        FreeFin(), SafetyConfig(), feedback=FeedbackConfig(drift_n=0.2, drift_s=60.0)
+    )
+    typed = Changes(None, {"--feedback.drift-n": str(FeedbackConfig().drift_n)})
+    settings = configure(RunConfig(), typed, feedback={})
+    assert setup.feedback_settings(settings.feedback) == FeedbackConfig(drift_s=60.0)
+    assert setup.feedback_settings(FeedbackConfig()) == setup.feedback
+    assert setup.feedback_settings(None) is None
 
 
 def test_a_rig_is_found_by_its_file_without_being_opened(tmp_path):

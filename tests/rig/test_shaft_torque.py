@@ -1,7 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 
+from softfin.core.power import EC_MAX_30, motor_current
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample
 from softfin.rig.safety import Guard, SafetyConfig
@@ -38,13 +40,13 @@ def drag(velocity):
     return 0.4 + DRAG_NM_S * velocity
 
 
-def made(constant_nm_a=None, rest_nm=0.0, is_needed=False):
+def made(constant_nm_a=None, rest_nm=0.0, uses=None):
     machine = FreeFin()
     machine.torque_constant_nm_a = constant_nm_a
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     session.at_rest = action(torque=lambda velocity: rest_nm)
     warnings = []
-    return ShaftTorque(session, warnings.append, is_needed), warnings
+    return ShaftTorque(session, warnings.append, uses), warnings
 
 
 def test_the_torque_of_the_sensor_is_relative_to_its_value_at_rest():
@@ -62,6 +64,21 @@ def test_the_torque_of_the_motor_is_that_of_its_current():
     assert not warnings
 
 
+def test_the_losses_of_the_gear_change_sides_when_the_fin_drives_it():
+    """The torque on the fin, if the rotor needs none."""
+    motor = EC_MAX_30
+    torques, _ = made(motor.torque_constant_nm_a * motor.gear_efficiency)
+    torques._session.machine.gear_efficiency = motor.gear_efficiency
+
+    def amperes(velocity):
+        torque = drag(velocity)
+        return float(motor_current(np.array([torque, torque]), np.float64(velocity), motor))
+
+    _, found = torques.means(action(current=amperes))
+    # The velocity is that of half a tick before. Without the change of sides, it is 0.3 N m.
+    assert found == pytest.approx((0.4, POWER_W), rel=0.05)
+
+
 def test_both_are_measured_independently():
     torques, _ = made(CONSTANT_NM_A)
     shaft, motor = torques.means(action(torque=drag, current=lambda velocity: 2 * drag(velocity)))
@@ -77,15 +94,37 @@ def test_the_torque_is_that_of_the_action_although_the_sensor_is_late():
 
 
 def test_neither_sensor_nor_current_is_no_torque():
-    torques, warnings = made(CONSTANT_NM_A, is_needed=True)
-    assert torques.means(action()) == (None, None)
+    torques, warnings = made(CONSTANT_NM_A, uses="both")
+    for _ in range(30):
+        assert torques.means(action()) == (None, None)
     assert not warnings
 
 
-@pytest.mark.parametrize(("is_needed", "lines"), [(True, 1), (False, 0)])
-def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(is_needed, lines):
-    torques, warnings = made(is_needed=is_needed)
-    for _ in range(3):
+@pytest.mark.parametrize("first", [None, drag])
+def test_feedback_that_needs_a_torque_says_once_that_there_is_none(first):
+    torques, warnings = made(CONSTANT_NM_A, uses="torque")
+    torques.means(action(torque=first))
+    for _ in range(30):
+        torques.means(action())
+    assert len(warnings) == (first is None)
+    assert all("no torque is measured" in line and "\n" not in line for line in warnings)
+
+
+def test_the_delay_of_an_experiment_does_not_affect_the_next():
+    torques, _ = made()
+    samples = [
+        each._replace(wrench=(each.velocity, *each.wrench[1:])) for each in action(delay_ticks=3)
+    ]
+    first = torques.force(samples, 6)
+    assert torques.force(action(), 6) != (1.0, 0.5)
+    torques.start()
+    assert torques.force(samples, 6) == first
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("both", 1), ("torque", 1), (None, 0)])
+def test_a_current_without_a_torque_constant_is_not_used_and_noted_once(uses, lines):
+    torques, warnings = made(uses=uses)
+    for _ in range(30):
         assert torques.means(action(current=drag)) == (None, None)
     assert len(warnings) == lines
     assert all("drive.torque_constant_nm_a" in line for line in warnings)
@@ -105,6 +144,51 @@ def test_a_channel_that_is_frozen_or_not_finite_is_no_torque_in_that_action_only
     assert shaft is not None
     assert motor is None
     assert None not in torques.means(action(torque=drag, current=drag))
+
+
+def clipped(velocity):
+    return min(drag(velocity), 0.5)
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("both", 1), (None, 0)])
+def test_a_torque_that_sits_at_a_limit_is_missing_meanwhile_and_noted_once(uses, lines):
+    torques, warnings = made(CONSTANT_NM_A, uses=uses)
+    for _ in range(3):
+        shaft, motor = torques.means(action(torque=clipped, current=clipped))
+        assert (shaft is None) == bool(lines)
+        assert motor is not None
+        assert None not in torques.means(action(torque=drag, current=drag))
+    assert len(warnings) == lines
+    assert all("torque_z: saturated at 0.5," in line and "\n" not in line for line in warnings)
+
+
+@pytest.mark.parametrize(("uses", "lines"), [("force", 1), (None, 0)])
+def test_a_force_that_sits_at_a_limit_is_missing_meanwhile(uses, lines):
+    torques, warnings = made(uses=uses)
+
+    def pushed(limit):
+        return [
+            each._replace(wrench=(min(each.velocity, limit), *each.wrench[1:])) for each in action()
+        ]
+
+    x, y = torques.force(pushed(0.5), 6)
+    assert math.isnan(x) == bool(lines)
+    assert y == pytest.approx(0.5)
+    assert math.isfinite(torques.force(pushed(2.0), 6)[0])
+    assert len(warnings) == lines
+    assert all(line.startswith("force_x: saturated at 0.5,") for line in warnings)
+
+
+def test_a_slow_sensor_that_repeats_its_records_is_not_saturated():
+    torques, warnings = made(uses="both")
+    samples = action(torque=drag)
+    slow = [samples[10 * (index // 10)] for index in range(len(samples))]
+    held = [
+        each._replace(wrench=record.wrench, force_time=record.force_time)
+        for each, record in zip(samples, slow, strict=True)
+    ]
+    assert torques.means(held)[0] is not None
+    assert not warnings
 
 
 def test_a_current_that_is_missing_for_a_tick_is_no_torque():

@@ -9,6 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.control.family import save_family
+from softfin.control.feedback import FeedbackConfig
+from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import roll
@@ -25,12 +28,15 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.stop import StopRequest
 from softfin.stages.live import collect_live, evaluate_live, find_bags, log_from_samples
+from softfin.storage.bag.messages import ESTIMATE, HALF_WIDTH, LEVEL
 from softfin.storage.dataset import Dataset
 from softfin.tank import Tank
 from tests.control.folders import folder_option
-from tests.rig.bags import events_of
+from tests.explorer.families import random_family
+from tests.gaits.known import save_known
+from tests.rig.bags import counts_of, events_of
 from tests.rig.machines import FreeFin
-from tests.rig.rigs import SAFETY, emulated
+from tests.rig.rigs import SAFETY, emulated, robot_of, simulated, values_of
 
 CONFIG = CollectConfig(logs=1, test_logs=1, rows=60, seed=3)
 
@@ -362,3 +368,45 @@ def test_the_progress_has_more_decimals_for_a_small_fin(tmp_path):
     with emulated(force_peak_n=2.0, force_sustained_n=1.9) as (_, robot):
         two_logs(robot, tmp_path / "data", progress=lambda *words: notes.append(words[2]))
     assert all(re.search(r"\([+-]\d\.\d{3}, [+-]\d\.\d{3}\) N", note) for note in notes)
+
+
+def judged_by_lines(tmp_path, uses, columns, transmit):
+    """Warnings, and the bag, of gaits with feedback on a tank whose sensor sends lines."""
+    folder = save_known(tmp_path / "gaits")
+    loaded = load_controller(folder)
+    save_family(folder, loaded, random_family(loaded), {"configuration": {"fins": 20}})
+    config = EvaluateConfig(
+        references=((1.5, 0.0),), seconds=8, seeds=1, feedback=FeedbackConfig(uses=uses)
+    )
+    lines = []
+    with simulated(Tank(), sensor="lines") as behind:
+        behind.sensor.transmit = transmit
+        values = values_of(behind)
+        del values["bus"]
+        values["sensor"]["columns"] = columns
+        del values["drive"]["torque_constant_nm_a"]
+        robot = robot_of(behind, **values)
+        evaluate_live(folder, robot, tmp_path / "out", config, yes, warn=lines.append)
+    return lines, next(find_bags(tmp_path / "out").glob("*.mcap"))
+
+
+def test_a_force_that_is_clipped_on_the_way_is_reported_and_the_estimate_is_recorded(tmp_path):
+    def clip(line):
+        count, x, y, torque = line.strip().split(b",")
+        # The sensor is mounted so that its y is softfin's x.
+        clipped = max(min(float(y), 0.4), -0.4)
+        return (b"%s,%s,%.6f,%s\r\n" % (count, x, clipped, torque),)
+
+    columns = ["count", "force_x", "force_y", "torque_z"]
+    lines, bag = judged_by_lines(tmp_path, "both", columns, clip)
+    assert sorted(line.split(":")[0] for line in lines) == ["force_x", "the motor current"]
+    counts = counts_of(bag)
+    for topic in (ESTIMATE, HALF_WIDTH, LEVEL):
+        assert counts[topic] == 24
+
+
+def test_feedback_from_a_torque_that_nobody_measures_goes_on_and_is_reported(tmp_path):
+    columns = ["count", "force_x", "force_y", "skip"]
+    lines, _ = judged_by_lines(tmp_path, "torque", columns, lambda line: (line,))
+    (line,) = lines
+    assert "drive.torque_constant_nm_a" in line

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import LoadedController
+from softfin.control.gait import GaitStep
 from softfin.core.errors import ArtifactError
 from softfin.core.operations import Array, Operations
 from softfin.core.quantities import AnyArray
@@ -117,12 +118,13 @@ def save_family(
 
 
 def load_family(path: Path, controller: LoadedController) -> Family | None:
-    """Read the family from the folder of a controller; return None if there is none.
+    """Read the family from the folder of a controller; return None if there is none, or if the
+    controller is a policy, whose motion does not repeat.
 
     Raises ArtifactError if the family is damaged or belongs to a different controller.
     """
     folder = path / FAMILY_KIND
-    if not folder.exists():
+    if not folder.exists() or controller.kind != GaitStep.kind:
         return None
     again = f"run softfin family {path}"
     description, arrays = artifacts.load(folder, FAMILY_KIND)
@@ -136,8 +138,14 @@ def load_family(path: Path, controller: LoadedController) -> Family | None:
     try:
         family = Family(**{name: np.asarray(part, np.float32) for name, part in arrays.items()})
         actions = controller.clock.window_actions
-        expected = (family.nominal.shape[:2], actions, len(FEATURES))
-        found = (family.nominal_noise.shape[:2], *family.nominal.shape[2:])
+        grid = family.nominal.shape[:2]
+        motor = MOTOR_FEATURES.stop - MOTOR_FEATURES.start
+        expected = (grid, actions, len(FEATURES), (*grid, actions, motor))
+        found = (
+            family.nominal_noise.shape[:2],
+            *family.nominal.shape[2:],
+            family.friction.shape,
+        )
         coefficients = family.features.shape[3]
         if expected != found or coefficients != family.coefficients:
             raise ValueError(f"arrays of shape {found}, must be {expected}")

@@ -22,11 +22,14 @@ forces, angles and torques of the actions relative to each other, whereas drift 
 family, the filter has no such pattern, and only time separates r from d: r exists from the start,
 whereas d grows over time. The filter then mistakes slow changes of the fin for drift.
 
-If the innovations are much larger than expected, the fin has changed suddenly, and the coefficients
-become as uncertain as they are over the whole family. If no coefficients explain the pattern, the
-fin is outside the family (a torn fin, a blocked shaft or weed). The noise of the pattern is then
-raised to the observed level, so that the mean force of the window dominates. r and g also become
-uncertain again after a sudden change. `Estimate.level` reports the observed level.
+After each window, the filter compares the likelihoods of three explanations: nothing sudden, a
+sudden change of the fin, and a jump of the sensor. A change makes c and g as uncertain as before
+any measurement, and a jump makes d more uncertain than the drift. Unless a constant change explains
+the window in which it happened, the window is skipped, because it is partly that from before, and
+the next one decides. If no coefficients explain the pattern, the fin is outside the family (a torn
+fin, a blocked shaft or weed). The noise of the pattern is then raised to the observed level, so
+that the mean force of the window dominates, and r becomes uncertain, too. `Estimate.level` reports
+the observed level.
 
 The corrected reference x solves x + bias(x) = reference by fixed-point iteration, within the
 controller's cells and the reachable forces.
@@ -48,6 +51,7 @@ from softfin.control.controller import (
     controller_clock,
 )
 from softfin.control.family import FEATURES, FORCE_FEATURES, LOAD_FEATURES, MOTOR_FEATURES, Family
+from softfin.control.gait import GaitStep
 from softfin.control.references import controller_cells, reachable_set
 from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
@@ -75,19 +79,29 @@ REPEATED = 20.0
 part is the same in all of these windows, so it does not average out."""
 
 NEW_REFERENCE = 0.1
-"""Distance from the reference of the last used window at which a window counts as new, as a
-fraction of the reach [-]."""
+"""Distance from the reference of the last window at which a window counts as new, as a fraction of
+the reach [-]."""
 
 SUDDEN = 6.0
 """Excess of the squared normalized innovation over its expected value, in standard deviations,
-above which the fin has changed suddenly."""
+above which something has changed suddenly."""
+
+LIKELIER = 20.0
+"""Reduction in -2 times the logarithm of the likelihood, by a sudden change of the fin or of the
+sensor, above which it has happened."""
 
 FAR_SQUARED = 4.0
 """Square of a coefficient that is as strange as a level of 1: 4 standard deviations have the level
 `UNFAMILIAR`."""
 
-MIXED_TRUST = 0.01
-"""Weight of a window in which the fin changed suddenly, relative to others [-]."""
+CLEAR = 1.5
+"""`Estimate.level` up to which a window with a sudden change is explained [-]."""
+
+JUMP_SHARE = 0.1
+"""Prior standard deviation of a sudden change of the sensor, as a fraction of the reach [-]."""
+
+POLICY_NOISE_N = 0.1
+"""Default of `FeedbackConfig.noise_n` for policies on the paper's fin [N]."""
 
 UNFAMILIAR = 4.0
 """`Estimate.level` above which the fin is outside the family."""
@@ -123,7 +137,7 @@ class FeedbackConfig(Configuration):
     affine in the reference [N]; null: 0.02 N, scaled."""
     noise_n: PositiveFloat | None = None
     """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.01
-    N, scaled."""
+    N for gaits, 0.1 N for policies, whose motion does not repeat, scaled."""
     change_s: PositiveFloat = 1500.0
     """Time in which the coefficients of the fin change by their standard deviation over the family
     [s]; smaller values correct faster changes."""
@@ -142,9 +156,12 @@ class FeedbackForces(NamedTuple):
     limit_n: float = 1.0
 
     @classmethod
-    def for_fin(cls, config: FeedbackConfig, size: float) -> "FeedbackForces":
+    def for_fin(
+        cls, config: FeedbackConfig, size: float, is_policy: bool = False
+    ) -> "FeedbackForces":
         """Return the configured forces; the defaults are scaled by the size of the fin."""
-        forces = cls(*(size * force for force in cls()))
+        tuned = cls(noise_n=POLICY_NOISE_N) if is_policy else cls()
+        forces = cls(*(size * force for force in tuned))
         return forces._replace(**config.model_dump(include=set(cls._fields), exclude_none=True))
 
 
@@ -176,8 +193,12 @@ class FeedbackState(NamedTuple):
     """Corrected references of the last actions and of the next one [N]."""
     references: Array
     """Uncorrected references of the last actions and of the next one [N]."""
+    zero: Array
+    """Sum of the jumps of the sensor (x, y) [N]."""
     used: Array
-    """Mean corrected reference over the last window that was used [N]."""
+    """Mean corrected reference over the last window [N]."""
+    was_mixed: Array
+    """Whether something changed suddenly within the last window."""
     level: Number
     """As in `Estimate`."""
     age: Number
@@ -209,7 +230,9 @@ class Feedback:
             reachable = self.reachable
             size = 1.0 if reachable is None else reachable.size
             reach_n = PAPER_REACH_N if reachable is None else reachable.reach_n
-            object.__setattr__(self, "newtons", FeedbackForces.for_fin(self.config, size))
+            is_policy = getattr(self.controller, "kind", GaitStep.kind) != GaitStep.kind
+            newtons = FeedbackForces.for_fin(self.config, size, is_policy)
+            object.__setattr__(self, "newtons", newtons)
             object.__setattr__(self, "reach_n", reach_n)
 
     @property
@@ -251,10 +274,6 @@ class Feedback:
         return self.coefficients + 12
 
     @property
-    def _places(self) -> slice:
-        return slice(self.coefficients + 6, self.coefficients + 8)
-
-    @property
     def _drifts(self) -> slice:
         return slice(self.coefficients + 8, self.coefficients + 10)
 
@@ -273,7 +292,9 @@ class Feedback:
             seen=np.full((actions, len(FEATURES)), np.nan),
             tracked=np.zeros((actions + 1, 2)),
             references=np.zeros((actions + 1, 2)),
+            zero=np.zeros(2),
             used=np.full(2, np.inf),
+            was_mixed=np.False_,
             level=1.0,
             age=0,
         )
@@ -292,30 +313,23 @@ class Feedback:
         seen = xp.concatenate([state.seen[1:], now[None]])
         actions = self.clock.window_actions
         ends_window = (state.age % actions == 0) & (state.age > 0)
-        mean, covariance, used, level = ops.branch(
-            ends_window,
-            lambda: self._update(ops, state, seen),
-            lambda: (state.mean, state.covariance, state.used, state.level),
-        )
+        before = state
+        state = ops.branch(ends_window, lambda: self._update(ops, before, seen), lambda: before)
         tracked = reference + state.tracked[-1] - state.references[-1]
         for _ in range(FIXED_POINT_STEPS):
             tracked = self._trackable(
-                ops, reference, reference - self._bias(ops, mean, tracked, used)
+                ops, reference, reference - self._bias(ops, state.mean, tracked, state.used)
             )
         # The inner controller does not use the force, which may be missing.
         finite = measured._replace(force=xp.nan_to_num(xp.asarray(measured.force)))
         inner, command = self.controller.act(
             state.inner, finite, tuple(tracked.tolist()) if ops is NUMPY else tracked
         )
-        return FeedbackState(
-            mean=mean,
-            covariance=covariance,
+        return state._replace(
             inner=inner,
             seen=seen,
             tracked=xp.concatenate([state.tracked[1:], tracked[None]]),
             references=xp.concatenate([state.references[1:], reference[None]]),
-            used=used,
-            level=level,
             age=state.age + 1,
         ), command
 
@@ -335,7 +349,7 @@ class Feedback:
         return Estimate(
             tracked + rows @ state.mean,
             HALF_90 * xp.sqrt(variance),
-            drift * state.mean[self._drifts],
+            state.zero + drift * state.mean[self._drifts],
             state.level,
         )
 
@@ -346,7 +360,7 @@ class Feedback:
 
     def _bias_rows(self, ops: Operations, reference: Array, near: Number) -> Array:
         """Return the derivatives of the force error (x, y) [N] with respect to the filter state;
-        `near` is the correlation of the local error with that of the last used window."""
+        `near` is the correlation of the local error with that of the last window."""
         xp = ops.xp
         assert self.newtons is not None
         force = xp.zeros((0, 2))
@@ -372,32 +386,13 @@ class Feedback:
         rows = self._bias_rows(ops, reference, self._near(ops, reference, used))
         return ops.xp.clip(rows @ mean, -limit_n, limit_n)
 
-    def _update(
-        self, ops: Operations, state: FeedbackState, seen: Array
-    ) -> tuple[Array, Array, Array, Number]:
-        """Return the mean, the covariance, the last used reference and the level after the window
-        that has just ended."""
+    def _update(self, ops: Operations, state: FeedbackState, seen: Array) -> FeedbackState:
+        """Return the state after the window that has just ended."""
         xp = ops.xp
-        config = self.config
-        assert self.newtons is not None
         coefficients = self.coefficients
-        window_s = self.clock.window_ticks / RATE_HZ
-        # Predict.
-        kept_drift = math.exp(-window_s / (2 * config.drift_s))
-        kept = np.ones(self.size)
-        kept[self._drifts] = kept_drift
-        added = np.zeros(self.size)
-        added[:coefficients] = window_s / config.change_s
-        added[self._drifts] = 1 - kept_drift**2
-        is_place = np.zeros(self.size)
-        is_place[self._places] = 1.0
         tracked = state.tracked[1:]
         centre = self._durations @ tracked
-        near = self._near(ops, centre, state.used)
-        faded = kept * (1 + is_place * (near - 1))
-        mean = faded * state.mean
-        added = added + is_place * (1 - near**2)
-        covariance = state.covariance * faded[:, None] * faded + xp.diag(added)
+        mean, covariance = self._predict(ops, state, centre)
         steps = xp.abs(state.references[1:] - state.references[:-1]).max()
         moved = xp.maximum(steps, xp.abs(tracked[1:] - tracked[:-1]).max())
         measured = self._measurements(ops, state, seen, mean, moved)
@@ -405,49 +400,96 @@ class Feedback:
         errors = measured.errors
         # Skip the first window, in which the fin starts from rest.
         has = measured.has & (state.age >= 2 * self.clock.window_actions)
+        has_pattern = has[2:].any()
         distance = xp.sqrt(((centre - state.used) ** 2).sum()) / self.reach_n
         repeated = REPEATED - (REPEATED - 1) * xp.minimum(distance / NEW_REFERENCE, 1.0)
+        repeated = xp.where(state.was_mixed, 1.0, repeated)
 
-        def weights(repeated: Number, level: Number) -> Array:
+        def correct(covariance: Array, repeated: Number, level: Number) -> _Correction:
             variance = measured.variance + repeated * measured.unexplained
             raised = xp.concatenate([np.ones(2), level * np.ones(rows.shape[0] - 2)])
-            return has / (variance * raised)
+            return self._correct(ops, covariance, rows, errors, has / (variance * raised))
 
-        # If the fin is outside the family, earlier windows have raised the level.
-        found = self._correct(ops, covariance, rows, errors, weights(repeated, state.level))
+        # Compare three explanations: nothing sudden, a change of the fin, a jump of the sensor. If
+        # the fin is outside the family, earlier windows have raised the level.
+        index = np.arange(self.size)
+        forgotten = (index < coefficients) + self._is_place
+        by_fin = covariance * (1 - forgotten)[:, None] * (1 - forgotten) + np.diag(forgotten)
+        jump_n = JUMP_SHARE * self.reach_n
+        jump = (jump_n / self.config.drift_n) ** 2 if self.config.drift_n > 0 else 0.0
+        by_sensor = covariance + jump * np.diag(self._is_drift)
+        nothing = correct(covariance, repeated, state.level)
+        fin = correct(by_fin, repeated, state.level)
+        sensor = correct(by_sensor, repeated, state.level)
         count = xp.maximum(has.sum(), 1)
-        is_sudden = found.innovation > count + SUDDEN * xp.sqrt(2 * count)
-        # A window in which the fin changed is partly that of the old fin, so the next one decides.
-        is_new = state.used[0] == np.inf
-        is_mixed = is_sudden & xp.logical_not(is_new)
-        sudden = xp.where(is_sudden, 1.0, 0.0)
+        is_far = nothing.innovation > count + SUDDEN * xp.sqrt(2 * count)
+        gain = nothing.unlikely - xp.minimum(fin.unlikely, sensor.unlikely)
+        is_sudden = is_far | (gain > LIKELIER)
+        # Without a pattern, both explain a sudden change equally well.
+        can_tell = has_pattern & has[:2].any() & (self.config.drift_n > 0)
+        is_sensor = (sensor.unlikely < fin.unlikely) & can_tell
+        prior = xp.where(is_sudden, xp.where(is_sensor, by_sensor, by_fin), covariance)
         # The unexplained part of a changed fin is new, so it is not a repetition.
         repeated = xp.where(is_sudden, 1.0, repeated)
-        index = np.arange(self.size)
-        is_coefficient = (index < coefficients).astype(float)
-        kept = 1 - sudden * is_coefficient
-        covariance = covariance * kept[:, None] * kept + sudden * np.diag(is_coefficient)
-        found = self._correct(ops, covariance, rows, errors, weights(repeated, 1.0))
+        found = correct(prior, repeated, 1.0)
         left = (errors - rows @ found.change)[2:]
-        level = (weights(1.0, 1.0)[2:] * left**2).sum() / xp.maximum(has[2:].sum(), 1)
+        variance = (measured.variance + measured.unexplained)[2:]
+        level = (has[2:] * left**2 / variance).sum() / xp.maximum(has[2:].sum(), 1)
         # Coefficients that no fin of the family has are as strange as what they do not explain.
         implied = mean[:coefficients] + found.change[:coefficients]
         level = xp.maximum(level, (xp.concatenate([implied, np.ones(1)]) ** 2).max() / FAR_SQUARED)
         level = xp.maximum(level, 1.0)
+        # A window in which something changed is partly that from before. Unless a constant change
+        # explains it, the next one decides.
+        is_first = is_sudden & xp.logical_not(state.was_mixed)
+        is_mixed = is_first & (level > CLEAR) & (state.age > 2 * self.clock.window_actions)
         # If no coefficients explain the pattern, rely on the mean force.
-        is_unexplained = (level > UNFAMILIAR) | (coefficients == 0)
-        is_strange = is_sudden & is_unexplained & xp.logical_not(is_mixed)
-        strange = xp.where(is_strange, 1.0, 0.0)
-        covariance = covariance + strange * np.diag((index < coefficients + 8).astype(float))
-        trust = xp.where(is_mixed, MIXED_TRUST, 1.0)
-        found = self._correct(ops, covariance, rows, errors, trust * weights(repeated, level))
-        covariance = (found.covariance + found.covariance.T) / 2
-        is_judged = has[2:].any() & xp.logical_not(is_mixed)
-        level = xp.where(is_judged, (state.level + level) / 2, state.level)
-        is_used = has.any() & (moved < NEW_REFERENCE * self.reach_n)
-        used = xp.where(is_used, centre, state.used)
-        used = xp.where(is_mixed, np.inf, used)
-        return mean + found.change, covariance, used, level
+        is_strange = is_sudden & ((level > UNFAMILIAR) | (coefficients == 0))
+        opened = by_fin + np.diag((index < coefficients + 8).astype(float))
+        found = correct(xp.where(is_strange, opened, prior), repeated, level)
+        is_judged = has_pattern & xp.logical_not(is_mixed)
+        mean = xp.where(is_mixed, mean, mean + found.change)
+        # A jump remains, whereas the drift tends to 0.
+        is_jump = is_sudden & is_sensor & xp.logical_not(is_mixed)
+        jump = xp.where(is_jump, mean * self._is_drift, 0.0)
+        return state._replace(
+            mean=mean - jump,
+            covariance=xp.where(is_mixed, covariance, (found.covariance + found.covariance.T) / 2),
+            zero=state.zero + math.sqrt(2) * self.config.drift_n * jump[self._drifts],
+            used=centre,
+            was_mixed=is_mixed,
+            level=xp.where(is_judged, (state.level + level) / 2, state.level),
+        )
+
+    def _predict(self, ops: Operations, state: FeedbackState, centre: Array) -> tuple[Array, Array]:
+        """Return the mean and the covariance one window later."""
+        config = self.config
+        window_s = self.clock.window_ticks / RATE_HZ
+        kept_drift = math.exp(-window_s / (2 * config.drift_s))
+        kept = np.ones(self.size)
+        kept[self._drifts] = kept_drift
+        added = np.zeros(self.size)
+        added[: self.coefficients] = window_s / config.change_s
+        added[self._drifts] = 1 - kept_drift**2
+        is_place = self._is_place
+        near = self._near(ops, centre, state.used)
+        faded = kept * (1 + is_place * (near - 1))
+        added = added + is_place * (1 - near**2)
+        covariance = state.covariance * faded[:, None] * faded + ops.xp.diag(added)
+        return faded * state.mean, covariance
+
+    @cached_property
+    def _is_place(self) -> Float[np.ndarray, "states"]:
+        """1 for the states of the local error, 0 for the others."""
+        index = np.arange(self.size) - self.coefficients
+        return np.isin(index, (6, 7)).astype(float)
+
+    @cached_property
+    def _is_drift(self) -> Float[np.ndarray, "states"]:
+        """1 for the states of the drift, 0 for the others."""
+        is_drift = np.zeros(self.size)
+        is_drift[self._drifts] = 1.0
+        return is_drift
 
     @cached_property
     def _durations(self) -> Float[np.ndarray, "actions"]:
@@ -469,7 +511,7 @@ class Feedback:
         centre = durations @ tracked
         affine = self._affine(ops, centre)
         drift = math.sqrt(2) * config.drift_n * np.eye(2)
-        force_error = durations @ seen[:, FORCE_FEATURES] - centre
+        force_error = durations @ seen[:, FORCE_FEATURES] - centre - state.zero
         force_variance = (newtons.noise_n**2 + moved**2) * np.ones(2)
         place = newtons.rest_n * np.eye(2)
         family = self.family
@@ -536,12 +578,12 @@ class Feedback:
         information = rows.T @ weighted
         # The size of this system is the number of states, not of measurements, and the covariance
         # may be singular.
-        after = ops.xp.linalg.solve(
-            np.eye(covariance.shape[0]) + covariance @ information, covariance
-        )
+        system = np.eye(covariance.shape[0]) + covariance @ information
+        after = ops.xp.linalg.solve(system, covariance)
         pull = errors @ weighted
         change = after @ pull
-        return _Correction(change, after, (weights * errors**2).sum() - pull @ change)
+        innovation = (weights * errors**2).sum() - pull @ change
+        return _Correction(change, after, innovation, ops.xp.linalg.slogdet(system)[1])
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
         """Move the corrected reference into the reachable forces and the controller cells.
@@ -593,6 +635,13 @@ class _Correction(NamedTuple):
     innovation: Number
     """Squared normalized innovation; its distribution is chi-squared with one degree of freedom per
     measurement."""
+    volume: Number
+    """Logarithm of the determinant of the innovation covariance, relative to that of the noise."""
+
+    @property
+    def unlikely(self) -> Number:
+        """-2 times the logarithm of the likelihood of the measurements, except for a constant."""
+        return self.innovation + self.volume
 
 
 IS_FORCE = np.isin(FEATURES, FEATURES[FORCE_FEATURES]).astype(float)

@@ -61,8 +61,9 @@ class Configuration(pydantic.BaseModel, metaclass=_OneLineErrors):
         return Changes(None, dict(change.split("=", 1) for change in changes)).apply(self)
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
-        """Return a copy with a mapping, such as part of a YAML file, merged into it."""
-        return self.build(_merge(self.model_dump(), values), source)
+        """Return a copy with a mapping, such as part of a YAML file, merged into it. Fields that
+        are set in neither remain unset (`model_fields_set`)."""
+        return self.build(_merge(self, values), source)
 
 
 class Changes(NamedTuple):
@@ -83,8 +84,7 @@ class Changes(NamedTuple):
             path = option.removeprefix("--").replace("-", "_").split(".")
             if path[0] not in type(base).model_fields:
                 names = [f"--{name.replace('_', '-')}" for name in type(base).model_fields]
-                written = f"--{path[0].replace('_', '-')}"
-                nearest = suggest_option(written, [*self.options, *names])
+                nearest = suggest_option(option, [*self.options, *names])
                 raise ConfigurationError(f"{option}: unknown option; {nearest}")
             try:
                 value = parse_yaml(text)
@@ -105,11 +105,11 @@ RENAMED: Mapping[str, str] = {"trim": "feedback"}
 
 def suggest_option(option: str, options: Sequence[str]) -> str:
     """Return the end of a message about an unknown option."""
-    old, *fields = option.removeprefix("--").split(".")
-    if old in RENAMED:
-        return f"it is now --{'.'.join([RENAMED[old], *fields])}"
-    names = [name.removeprefix("--") for name in options]
-    close = difflib.get_close_matches(option.removeprefix("--"), names, n=1)
+    name, *fields = option.removeprefix("--").replace("_", "-").split(".")
+    if name in RENAMED:
+        return f"it is now --{'.'.join([RENAMED[name], *fields])}"
+    names = [each.removeprefix("--") for each in options]
+    close = difflib.get_close_matches(name, names, n=1)
     return f"did you mean --{close[0]}?" if close else "--help lists the options"
 
 
@@ -191,10 +191,13 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(one_line(error)) from None
 
 
-def _merge(base: JsonObject, over: Mapping[str, object]) -> JsonObject:
-    return base | {
-        key: _merge(base[key], value)
-        if isinstance(base.get(key), dict) and isinstance(value, Mapping)
+def _merge(base: Any, over: Mapping[str, object]) -> JsonObject:
+    is_model = isinstance(base, Configuration)
+    before: JsonObject = vars(base) if is_model else base
+    values: JsonObject = base.model_dump(exclude_unset=True) if is_model else base
+    return values | {
+        key: _merge(before[key], value)
+        if isinstance(before.get(key), Configuration | dict) and isinstance(value, Mapping)
         else value
         for key, value in over.items()
     }

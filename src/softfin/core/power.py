@@ -30,9 +30,10 @@ class Motor(NamedTuple):
 
 
 EC_MAX_30 = Motor(111 * 0.0259, 1.27 * (25.9 / 24.2) ** 2, 0.7)
-"""Drive of the virtual tank: a maxon EC-max 30 (60 W) with a gearhead GP 32 C of 111:1. In the
-maxon catalogue, the 24 V winding has 1.27 ohm and 24.2 mN m/A, and the gearhead an efficiency of
-70%. The tank has 25.9 mN m/A; a winding with this constant and the same losses has 1.45 ohm."""
+"""Drive of the virtual tank: a maxon EC-max 30 (60 W) with a gearhead GP 32 C of 111:1. Nominal
+values from memory, not checked against a datasheet: 1.27 ohm and 24.2 mN m/A for the 24 V winding,
+and an efficiency of 70% for the gearhead. The tank has 25.9 mN m/A; a winding with this constant
+and the same losses has 1.45 ohm."""
 
 
 def tick_velocity(velocity: Float[AnyArray, "*runs ticks"]) -> Any:
@@ -128,23 +129,27 @@ def mean_powers(thrust_n: float, means_w: Sequence[float]) -> dict[str, MeanPowe
     }
 
 
-def supply_power(powers: Mapping[str, MeanPower]) -> MeanPower | None:
-    """Return the electrical power, or the mechanical power if only that is known."""
-    return powers.get("electrical", powers.get("mechanical"))
+def supply_power(powers: Mapping[str, MeanPower]) -> str:
+    """Return the name of the electrical power, or of the mechanical power if only that is known;
+    empty if none is known."""
+    return next((name for name in ("electrical", "mechanical") if name in powers), "")
 
 
-def force_per_watt(power: MeanPower) -> str:
-    """Return the force per watt as text."""
-    ratio = power["force_per_watt_n"]
-    return "-" if ratio is None else f"{ratio:.2f}"
+def power_cells(powers: Mapping[str, MeanPower], name: str) -> list[str]:
+    """Return a mean power [W] and its force per watt [N/W] as texts."""
+    if name not in powers:
+        return ["-", "-"]
+    ratio = powers[name]["force_per_watt_n"]
+    return [f"{powers[name]['mean_w']:.2f}", "-" if ratio is None else f"{ratio:.2f}"]
 
 
 def describe_powers(powers: Mapping[str, MeanPower]) -> str:
     """Return the mean powers, the force per watt and the energy per minute on one line; empty if
     none is known."""
-    power = supply_power(powers)
-    if power is None:
+    name = supply_power(powers)
+    if not name:
         return ""
     means = ", ".join(f"{own['mean_w']:.2f} W {name}" for name, own in powers.items())
-    each = f"{force_per_watt(power)} N/W, {power['per_minute_j']:.0f} J per minute"
+    _, ratio = power_cells(powers, name)
+    each = f"{ratio} N/W, {powers[name]['per_minute_j']:.0f} J per minute"
     return f"mean power {means}; {each}"

@@ -52,7 +52,7 @@ def _start_axia80(config: Axia80Config, fin: EmulatedFin, clock: Computer) -> Em
 
 def _start_lines(config: LinesConfig, fin: EmulatedFin, clock: Computer) -> EmulatedLines:
     udp_port = config.udp_port if clock.is_simulated else None
-    return EmulatedLines(fin, config.rate_hz, clock, udp_port=udp_port)
+    return EmulatedLines(fin, config.rate_hz, clock, udp_port, config.columns[1:])
 
 
 DRIVES = {
@@ -83,7 +83,7 @@ SENSORS = {
     "axia80": Emulator({"address": LOOPBACK}, _start_axia80),
     "lines": Emulator(
         {
-            "columns": ["count", "force_x", "force_y"],
+            "columns": ["count", "force_x", "force_y", "torque_z"],
             "rate_hz": 320.0,
             "filter_delay_s": 0.0,
             "address": LOOPBACK,

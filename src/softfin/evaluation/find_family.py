@@ -13,6 +13,7 @@ from pydantic import Field
 
 from softfin.control.controller import LoadedController
 from softfin.control.family import MIN_FINS, Family
+from softfin.control.gait import GaitStep
 from softfin.control.pytrees import register_controllers
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -22,7 +23,7 @@ from softfin.core.progress import Progress, silent
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
 from softfin.evaluation.experiment import simulate
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.reachable import Reachable, cell_corners
 from softfin.tank.randomization import DomainRandomization, sample_tank
 from softfin.tank.tank import Tank
 
@@ -30,8 +31,8 @@ STEADY_WINDOWS = 3
 """Number of windows to run from rest; the last one is tabulated."""
 
 OUTSIDE_WEIGHT = 0.3
-"""Weight of nodes outside the reach in the components, relative to other nodes. Nodes outside the
-reach are moved to its edge."""
+"""Weight of nodes outside the reach or the cell of the gaits in the components, relative to
+other nodes. They are moved to the edge."""
 
 BATCH = 128
 """Number of references that are simulated in parallel."""
@@ -86,14 +87,20 @@ def find_family(
 ) -> Family:
     """Find the family of fins around a tank for a controller.
 
-    Raises ConfigurationError if the controller does not contain the reach of its fin.
+    Raises ConfigurationError if the controller is a policy or does not contain the reach of its
+    fin.
     """
     config = config or FamilyConfig()
+    if controller.kind != GaitStep.kind:
+        raise ConfigurationError(
+            f"{controller.artifact.name}: the motion of a policy does not repeat in every window, "
+            "so its pattern does not show how the fin has changed; use gaits (softfin map), or "
+            "--feedback without a family"
+        )
     reachable = controller.reachable
     if reachable is None:
         raise ConfigurationError(
-            f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin "
-            "map), or train the controller with a map"
+            f"{controller.artifact.name}: the reach of the fin is unknown; use gaits (softfin map)"
         )
     if not any(config.widths.model_dump().values()):
         raise ConfigurationError("widths: all are 0, so all fins are the same; set some of them")
@@ -104,14 +111,18 @@ def find_family(
         axes = np.linspace(box.low, box.high, nodes)
         return np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 2)
 
+    def trackable(references: Float[np.ndarray, "nodes 2"]) -> Float[np.ndarray, "nodes 2"]:
+        """Move references into the reach and the cell of the gaits."""
+        inside = np.clip(reachable.project(references), *cell_corners(controller.cells))
+        return np.asarray(inside, np.float32)
+
     def run(fin: Tank, references: Float[np.ndarray, "references 2"]) -> _Steady:
-        inside = np.asarray(reachable.project(references), np.float32)
-        found: _Steady = _run_references(controller, fin, jnp.asarray(inside))
+        found: _Steady = _run_references(controller, fin, jnp.asarray(trackable(references)))
         return _Steady(*map(np.asarray, found))
 
     fine = run(tank, lattice(config.nominal_nodes))
     coarse = lattice(config.nodes)
-    between = _references_between(coarse, reachable)
+    between = trackable(_references_between(coarse, reachable))
     nominal = [run(tank, coarse), run(tank, between)]
     fitted: list[list[_Steady]] = []
     held_out: list[list[_Steady]] = []
@@ -124,7 +135,7 @@ def find_family(
         ]
         (fitted if len(places) == 1 else held_out).append(changes)
         progress("family", (index + 1) / config.fins, f"fin {index + 1} of {config.fins}")
-    moved = np.linalg.norm(reachable.project(coarse) - coarse, axis=1)
+    moved = np.linalg.norm(trackable(coarse) - coarse, axis=1)
     weights = np.where(moved > 0.1 * reachable.reach_n, OUTSIDE_WEIGHT, 1.0)
     components = _components([changes[0] for changes in fitted], weights, config.coefficients)
     shape = (config.nominal_nodes, config.nominal_nodes)

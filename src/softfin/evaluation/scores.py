@@ -109,8 +109,18 @@ def score(recording: ExperimentRecording) -> Scores:
         late_travel=travel(second_half, clock),
         reading_error=reading_error,
         thrust=np.linalg.norm(force.mean(axis=2), axis=-1),
-        power=None if recording.power is None else np.asarray(recording.power).mean(axis=2),
+        power=None if recording.power is None else _mean_power(np.asarray(recording.power)),
     )
+
+
+def _mean_power(
+    power: Float[np.ndarray, "references seeds ticks 2"],
+) -> Float[np.ndarray, "references seeds 2"]:
+    """Return the means over the known values; NaN if fewer than half are known."""
+    known = np.isfinite(power)
+    count = known.sum(axis=2)
+    means = np.where(known, power, 0.0).sum(axis=2) / np.maximum(count, 1)
+    return np.where(2 * count >= power.shape[2], means, math.nan)
 
 
 def mean_scores(scores: Scores, index: int | None = None) -> MeanScores:

@@ -5,7 +5,7 @@
 
 /* Features of an action: force (x, y), angle, and torque and power, first on the fin, then of the motor. */
 const FEATURES = 7, FORCES = [0, 1], LOADS = 3, MOTOR = 5, AFFINE = 6, PLACE = 2;
-const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, FAR_SQUARED = 4, MIXED_TRUST = 0.01, UNFAMILIAR = 4, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
+const FIXED_POINT_STEPS = 2, STARTS = 0.3, NEAR = 0.15, REPEATED = 20, NEW_REFERENCE = 0.1, SUDDEN = 6, FAR_SQUARED = 4, LIKELIER = 20, JUMP = 0.1, CLEAR = 1.5, UNFAMILIAR = 4, HALF_90 = 1.645, FRICTION_SHARE = 0.1;
 const WHITE_NOISE = [0.02, 0.02, 0.002, 0.01, 0.01, 0.01, 0.01];
 /* Whether feedback may use a feature, for each setting. */
 const USABLE = { force: (feature) => feature < LOADS, torque: (feature) => feature > FORCES[1], both: () => true };
@@ -40,7 +40,7 @@ const shareOf = (action) => ACTION_TICKS[action % ACTION_TICKS.length] / WINDOW;
 class Feedback {
   /* `begun` is the number of the first action with feedback, counted from the start of the controller's clock. */
   constructor({ config, family }, cells, reachable, uses, begun) {
-    Object.assign(this, { config, reachable, uses, begun, age: begun, level: 1, used: null });
+    Object.assign(this, { config, reachable, uses, begun, age: begun, level: 1, used: null, wasMixed: false, zero: [0, 0] });
     this.family = family === null ? null : new Family(family);
     this.coefficients = this.family === null ? 0 : this.family.coefficients;
     this.size = this.coefficients + AFFINE + PLACE + 4;
@@ -89,7 +89,7 @@ class Feedback {
     return [[bias, 0, slope * x, slope * y, 0, 0], [0, bias, 0, 0, slope * x, slope * y]];
   }
 
-  /* Correlation of the local force error at a reference with that of the last used window. */
+  /* Correlation of the local force error at a reference with that of the last window. */
   near(reference) {
     return this.used === null ? 0 : Math.exp(-distanceTo(reference, this.used) / (NEAR * this.config.reach_n));
   }
@@ -118,36 +118,49 @@ class Feedback {
     for (const i of this.drifts) [kept[i], added[i]] = [keptDrift, 1 - keptDrift ** 2];
     for (const i of this.places) [kept[i], added[i]] = [near, 1 - near ** 2];
     const mean = this.mean.map((value, i) => kept[i] * value);
-    let covariance = this.covariance.map((row, i) => row.map((value, j) => value * kept[i] * kept[j] + (i === j ? added[i] : 0)));
+    const covariance = this.covariance.map((row, i) => row.map((value, j) => value * kept[i] * kept[j] + (i === j ? added[i] : 0)));
     const { rows, errors, has, variance, unexplained } = this.measurements(mean, moved), patterns = (values) => values.slice(FORCES.length);
     const sum = (values) => values.reduce((total, value) => total + Number(value), 0), counted = sum(patterns(has));
     // The part that the state does not explain is the same in all windows at the same reference.
     const distance = this.used === null ? Infinity : distanceTo(centre, this.used) / config.reach_n;
-    let repeated = REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
+    const repeated = this.wasMixed ? 1 : REPEATED - (REPEATED - 1) * Math.min(distance / NEW_REFERENCE, 1);
     const weights = (times, level) => has.map((valid, i) => Number(valid) / ((variance[i] + times * unexplained[i]) * (i < FORCES.length ? 1 : level)));
-    const opened = (last) => covariance.map((row, i) => row.map((value, j) => value + Number(i === j && i < last)));
-    const count = Math.max(sum(has), 1), { innovation } = corrected(covariance, rows, errors, weights(repeated, this.level));
-    const sudden = innovation > count + SUDDEN * Math.sqrt(2 * count);
-    // A window in which the fin changed is partly that of the old fin, so the next one decides.
-    const mixed = sudden && this.used !== null;
-    if (sudden) {
-      repeated = 1;
-      covariance = covariance.map((row, i) => row.map((value, j) => (i < coefficients || j < coefficients ? Number(i === j) : value)));
-    }
-    const { change } = corrected(covariance, rows, errors, weights(repeated, 1)), plain = weights(1, 1);
+    const correct = (prior, times, level) => corrected(prior, rows, errors, weights(times, level));
+    const raised = (prior, more) => prior.map((row, i) => row.map((value, j) => value + (i === j ? more(i) : 0)));
+    // Compare three explanations: nothing sudden, a change of the fin, a jump of the sensor.
+    const isForgotten = (i) => i < coefficients || this.places.includes(i);
+    const byFin = covariance.map((row, i) => row.map((value, j) => (isForgotten(i) || isForgotten(j) ? Number(i === j) : value)));
+    const jump = config.drift_n > 0 ? ((JUMP * config.reach_n) / config.drift_n) ** 2 : 0;
+    const bySensor = raised(covariance, (i) => (this.drifts.includes(i) ? jump : 0));
+    const [nothing, fin, sensor] = [covariance, byFin, bySensor].map((prior) => correct(prior, repeated, this.level));
+    const count = Math.max(sum(has), 1), gain = nothing.unlikely - Math.min(fin.unlikely, sensor.unlikely);
+    const sudden = nothing.innovation > count + SUDDEN * Math.sqrt(2 * count) || gain > LIKELIER;
+    // Without a pattern, both explain a sudden change equally well.
+    const canTell = counted > 0 && (has[0] || has[1]) && config.drift_n > 0, isSensor = sudden && canTell && sensor.unlikely < fin.unlikely;
+    const prior = isSensor ? bySensor : sudden ? byFin : covariance, times = sudden ? 1 : repeated;
+    const { change } = correct(prior, times, 1), plain = weights(1, 1);
     const squares = errors.map((error, i) => plain[i] * (error - dot(rows[i], change)) ** 2);
     // Coefficients that no fin of the family has are as strange as what they do not explain.
     const implied = [...mean.slice(0, coefficients)].map((value, i) => (value + change[i]) ** 2 / FAR_SQUARED);
     const level = Math.max(sum(patterns(squares)) / Math.max(counted, 1), 1, ...implied);
+    this.used = centre;
+    // A window in which something changed is partly that from before. Unless a constant change explains it, the next one decides.
+    const judges = this.age > 2 * WINDOW_ACTIONS && this.age - this.begun >= 2 * WINDOW_ACTIONS;
+    if (sudden && !this.wasMixed && level > CLEAR && judges) {
+      [this.mean, this.covariance, this.wasMixed] = [mean, covariance, true];
+      return;
+    }
     // If no coefficients explain the pattern, rely on the mean force.
-    if (sudden && !mixed && (level > UNFAMILIAR || coefficients === 0)) covariance = opened(coefficients + AFFINE + PLACE);
-    const trust = mixed ? MIXED_TRUST : 1, trusted = weights(repeated, level).map((weight) => trust * weight);
-    const found = corrected(covariance, rows, errors, trusted);
+    const strange = sudden && (level > UNFAMILIAR || coefficients === 0);
+    const found = correct(strange ? raised(byFin, (i) => Number(i < coefficients + AFFINE + PLACE)) : prior, times, level);
     this.mean = mean.map((value, i) => value + found.change[i]);
     this.covariance = found.covariance.map((row, i) => row.map((value, j) => (value + found.covariance[j][i]) / 2));
-    if (counted > 0 && !mixed) this.level = (this.level + level) / 2;
-    if (mixed) this.used = null;
-    else if (sum(has) > 0 && moved < NEW_REFERENCE * config.reach_n) this.used = centre;
+    this.wasMixed = false;
+    if (counted > 0) this.level = (this.level + level) / 2;
+    if (!isSensor) return;
+    // A jump remains, whereas the drift tends to 0.
+    this.zero = this.drifts.map((i, axis) => this.zero[axis] + Math.sqrt(2) * config.drift_n * this.mean[i]);
+    for (const i of this.drifts) this.mean[i] = 0;
   }
 
   /* Mean of the corrected references over the last window. */
@@ -185,7 +198,7 @@ class Feedback {
       row.set(affine[axis], coefficients);
       row[this.places[axis]] = config.rest_n;
       row[this.drifts[axis]] = Math.sqrt(2) * config.drift_n;
-      add(axis, row, over((k) => seen[k][axis]) - centre[axis], config.noise_n ** 2 + moved ** 2, 0);
+      add(axis, row, over((k) => seen[k][axis]) - centre[axis] - this.zero[axis], config.noise_n ** 2 + moved ** 2, 0);
     }
     if (family === null) return found;
     const spread = family.feature_spread.values, noise = family.feature_noise.values;
@@ -215,7 +228,8 @@ class Feedback {
   }
 }
 
-/* Update of the Kalman filter for independent measurements: change of the mean, covariance, and squared innovation. */
+/* Update of the Kalman filter for independent measurements: change of the mean, covariance, squared innovation, and how
+ * unlikely the measurements are. */
 function corrected(covariance, rows, errors, weights) {
   const size = covariance.length, information = covariance.map(() => new Float64Array(size)), pull = new Float64Array(size);
   let square = 0;
@@ -233,6 +247,8 @@ function corrected(covariance, rows, errors, weights) {
     for (let k = 0; k < size; k++) for (let j = 0; j < size; j++) sums[j] += row[k] * information[k][j];
     return sums;
   });
-  const after = solved(left, covariance), change = after.map((row) => dot(row, pull));
-  return { change, covariance: after, innovation: square - dot(pull, change) };
+  const { solution: after, logDeterminant } = solved(left, covariance), change = after.map((row) => dot(row, pull));
+  const innovation = square - dot(pull, change);
+  // -2 times the logarithm of the likelihood of the measurements, except for a constant.
+  return { change, covariance: after, innovation, unlikely: innovation + logDeterminant };
 }

@@ -50,7 +50,8 @@ const dot = (a, b) => { let sum = 0; for (let i = 0; i < a.length; i++) sum += a
 const joined = (...series) => [].concat(...series.map((each) => Array.from(each)));
 const sigmoid = (x) => 1 / (1 + Math.exp(-x));
 
-/* Solution of matrix @ unknown = right, by elimination with the largest pivot of each column; all are lists of rows. */
+/* Solution of matrix @ unknown = right, by elimination with the largest pivot of each column, and the logarithm of the
+ * absolute determinant of the matrix; matrices are lists of rows. */
 function solved(matrix, right) {
   const n = matrix.length, a = matrix.map((row) => Float64Array.from(row)), b = right.map((row) => Float64Array.from(row));
   const subtract = (row, factor, from) => { for (let j = 0; j < row.length; j++) from[j] -= factor * row[j]; };
@@ -68,5 +69,5 @@ function solved(matrix, right) {
     for (let i = k + 1; i < n; i++) subtract(b[i], a[k][i], b[k]);
     for (let j = 0; j < b[k].length; j++) b[k][j] /= a[k][k];
   }
-  return b;
+  return { solution: b, logDeterminant: a.reduce((sum, row, k) => sum + Math.log(Math.abs(row[k])), 0) };
 }

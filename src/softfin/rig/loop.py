@@ -17,8 +17,7 @@ import numpy as np
 from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.control.feedback import Estimate, Feedback
 from softfin.core.errors import SoftfinError
-from softfin.core.log_channels import CURRENT_CHANNEL
-from softfin.core.power import measured_power
+from softfin.core.power import electrical_power, tick_velocity
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
@@ -61,10 +60,12 @@ def run_controller(
     `shaft_torque` measures the torques (default: without warnings).
     """
     shaft_torque = shaft_torque or ShaftTorque(session, lambda line: None)
+    shaft_torque.start()
     clock = controller_clock(controller)
     durations = clock.ticks
     state = controller.init()
-    angle = (session.newest or session.tick()).angle
+    last = session.newest or session.tick()
+    angle = last.angle
     force = (0.0, 0.0)
     torques: tuple[Drive | None, Drive | None] = (None, None)
     ticks = 0
@@ -83,12 +84,27 @@ def run_controller(
         force = (x - zero[0], y - zero[1])
         torques = shaft_torque.means(samples)
         found = controller.estimate(state) if isinstance(controller, Feedback) else None
-        # Only a rig has a configured drive. A missing current becomes NaN.
-        motor = getattr(session.machine, "motor", None)
-        drive = np.array([(each.current, each.velocity) for each in samples], float).T
-        electrical = measured_power({CURRENT_CHANNEL: drive[0]}, drive[1], motor)[:, 1].mean()
+        if found is not None and session.recorder is not None:
+            force_n = found.force.tolist()
+            half_width_n = found.half_width.tolist()
+            level = float(found.level)
+            session.recorder.estimate(session.pace.clock(), force_n, half_width_n, level)
         mechanical = math.nan if torques[0] is None else torques[0][1]
-        yield ActionResult(reference, target, samples, found, (mechanical, float(electrical)))
+        electrical = _electrical_power(session, last, samples)
+        yield ActionResult(reference, target, samples, found, (mechanical, electrical))
+        last = samples[-1]
+
+
+def _electrical_power(session: Session, last: Sample, samples: Sequence[Sample]) -> float:
+    """Return the mean electrical power over the samples after the last one [W]; NaN if a current is
+    missing or the motor is unknown."""
+    # Only a rig has a configured drive.
+    motor = getattr(session.machine, "motor", None)
+    current = np.array([each.current for each in samples], float)
+    if motor is None or not np.isfinite(current).all():
+        return math.nan
+    velocity = tick_velocity(np.array([each.velocity for each in (last, *samples)]))[1:]
+    return float(electrical_power(current, velocity, motor).mean())
 
 
 class LiveReference:

@@ -33,10 +33,11 @@ class RobotSetup:
             check()
 
     def feedback_settings(self, asked: FeedbackConfig | None) -> FeedbackConfig | None:
-        """Return the settings of this fin, overridden by the given ones; None for no feedback."""
+        """Return the settings of this fin, overridden by the fields that are set in the given ones;
+        None for no feedback."""
         if asked is None:
             return None
-        return self.feedback.merged(asked.model_dump(exclude_defaults=True), "feedback")
+        return self.feedback.merged(asked.model_dump(exclude_unset=True), "feedback")
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
         """Raise RigError if a controller is for a different fin or exceeds the limits of the

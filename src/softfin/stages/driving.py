@@ -11,7 +11,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from softfin.control.controller import LoadedController
-from softfin.control.feedback import UNFAMILIAR, Estimate, Feedback, FeedbackConfig
+from softfin.control.feedback import Estimate, Feedback, FeedbackConfig
+from softfin.control.feedback_notes import FeedbackNotes
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller, load_feedback
 from softfin.core.configuration import Configuration, configure
@@ -161,10 +162,11 @@ class Drive(NamedTuple):
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
         window: list[ActionResult] = []
         ticks = printed = 0
-        was_strange = False
+        notes = FeedbackNotes(controller)
         clock = controller.clock
         actions = None if self.seconds is None else clock.actions_within(self.seconds * RATE_HZ)
-        torque = ShaftTorque(session, say, isinstance(controller, Feedback))
+        uses = controller.config.uses if isinstance(controller, Feedback) else None
+        torque = ShaftTorque(session, say, uses)
         for result in run_controller(session, controller, references, actions, zero, torque):
             window = [*window, result][-clock.window_actions :]
             x, y = mean_force([sample for each in window for sample in each.samples])
@@ -190,10 +192,8 @@ class Drive(NamedTuple):
                     )
             if result.estimate is not None:
                 summary |= _estimate_summary(result.estimate)
-                is_strange = summary["level"] > UNFAMILIAR
-                if is_strange and not was_strange:
-                    say(UNFAMILIAR_NOTE)
-                was_strange = is_strange
+                for note in notes.on(result.estimate):
+                    say(note)
             errors = [
                 abs(mean - asked) for mean, asked in zip((x, y), result.reference, strict=True)
             ]
@@ -206,12 +206,6 @@ class Drive(NamedTuple):
             means_w = np.mean([each.power for each in window], axis=0).tolist()
             if powers := mean_powers(math.hypot(x, y), means_w):
                 summary["power"] = powers
-
-
-UNFAMILIAR_NOTE = (
-    "feedback: the fin does not behave like any fin in its family, so feedback relies on the mean "
-    "force; check for damage, weed, a blocked shaft or a loose sensor"
-)
 
 
 def _described_estimate(estimate: Estimate, decimals: int) -> str:

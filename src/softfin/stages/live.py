@@ -21,7 +21,6 @@ from softfin.control.store import load_controller, load_feedback
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS, VOLTAGE_CHANNEL
-from softfin.core.power import measured_power
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
@@ -186,7 +185,8 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            torque = ShaftTorque(session, warn, config.feedback is not None)
+            uses = None if config.feedback is None else config.feedback.uses
+            torque = ShaftTorque(session, warn, uses)
             target = LiveFin(session, acting, robot, progress, torque)
             metadata = {"plant": str(target), "randomization": None}
             return evaluate_controllers(
@@ -272,10 +272,8 @@ class LiveFin:
         # The last action may end later.
         end = seconds * RATE_HZ
         reading = Reading(*(field[:end] for field in reading))
-        # Only a rig has a configured drive.
-        motor = getattr(self._robot.machine, "motor", None)
-        power = measured_power(log.channels, log.reading.velocity, motor)
-        return Command(*np.array(ticks[:end], np.float32).T), reading, power[1 : end + 1]
+        power = np.array([result.power for result in results for _ in result.samples])
+        return Command(*np.array(ticks[:end], np.float32).T), reading, power[:end]
 
 
 def longest_gap(robot: RobotSetup) -> float:

@@ -5,7 +5,7 @@ from itertools import zip_longest
 from typing import Any
 
 from softfin.core.json_object import JsonObject
-from softfin.core.power import describe_powers, force_per_watt, supply_power
+from softfin.core.power import describe_powers, power_cells, supply_power
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
@@ -56,7 +56,8 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     for name, summary in controllers.items():
         decimals = error_decimals(summary)
         power = describe_powers(summary["mean"].get("power", {}))
-        titles = (*TABLE_TWO_TITLES, *(("power W", "N/W") if power else ()))
+        kind = supply_power(summary["mean"].get("power", {}))
+        titles = (*TABLE_TWO_TITLES, *(("power W", "N/W") if kind else ()))
         rows = [[f"Table II, {name}", *titles]]
         notes = [""]
         for row in summary["references"]:
@@ -64,14 +65,14 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
             rows.append(
                 [
                     f"  ({x:5.{decimals - 1}f}, {y:5.{decimals - 1}f}) N",
-                    *_scores(row, decimals),
+                    *_scores(row, decimals, kind),
                 ]
             )
             notes.append(
                 ("  does not move" if row["still"] else "")
                 + format_reference_errors(row, decimals - 1)
             )
-        rows.append(["  mean", *_scores(summary["mean"], decimals)])
+        rows.append(["  mean", *_scores(summary["mean"], decimals, kind)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
         lines += [f"  {line}" for line in (describe_errors(summary), power) if line]
     return "\n".join(lines)
@@ -115,15 +116,15 @@ def describe_errors(summary: EvaluationSummary) -> str:
     )
 
 
-def _scores(row: MeanScores, decimals: int) -> list[str]:
+def _scores(row: MeanScores, decimals: int, kind: str) -> list[str]:
+    """Return the scores of a row; `kind` is that of the powers, or empty without powers."""
     cells = []
     for axis in AXES:
         interval = row[axis]["error_interval_n"]
         errors = row[axis]["error_seeds_n"]
         error = f"{row[axis]['error_n']:.{decimals}f} {over_seeds(interval, errors, decimals)}"
         cells += [error.rstrip(), f"{row[axis]['std_n']:.{decimals}f}"]
-    power = supply_power(row.get("power", {}))
-    return cells if power is None else [*cells, f"{power['mean_w']:.2f}", force_per_watt(power)]
+    return [*cells, *power_cells(row.get("power", {}), kind)] if kind else cells
 
 
 def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:

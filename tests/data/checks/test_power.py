@@ -37,6 +37,24 @@ def test_a_torque_of_the_wrong_sign_is_told_with_the_option(log):
     assert found(log, negated, torque_nm=reversed_) == {"torque sign": "remove --negate"}
 
 
+def test_a_torque_that_is_only_noise_has_no_sign(log):
+    random = np.random.default_rng(4)
+    for _ in range(8):
+        noise = random.normal(0, 0.01, len(log.reading.time)).astype(np.float32)
+        assert "torque sign" not in found(log, torque_nm=noise)
+
+
+def test_missing_values_hide_no_fault(log):
+    torque = 1000 * log.channels["torque_nm"]
+    torque[500] = np.nan
+    assert "1,000" in found(log, torque_nm=torque)["torque unit"]
+
+
+def test_a_log_without_forces_has_no_lever(log):
+    still = log._replace(reading=log.reading._replace(force=0 * log.reading.force))
+    assert not {"torque unit", "torque axis", "torque sign"} & set(found(still))
+
+
 def test_a_torque_in_newton_millimetres_is_told(log):
     assert "1,000" in found(log, torque_nm=1000 * log.channels["torque_nm"])["torque unit"]
 

@@ -5,8 +5,11 @@ import io
 from softfin.storage.bag.messages import (
     COMMAND,
     CURRENT,
+    ESTIMATE,
     EVENTS,
+    HALF_WIDTH,
     JOINT,
+    LEVEL,
     REFERENCE,
     WRENCH,
     BagWriter,
@@ -28,13 +31,18 @@ class Recording:
     def at(self, tick):
         return START_NS + tick * 10_000_000
 
-    def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None):
+    def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None, estimate=None):
         if reference is not None:
             self.bag.write(REFERENCE, self.at(self.tick), (*reference, 0.0, 0.0, 0.0, 0.0))
         if event is not None:
             self.bag.write(EVENTS, self.at(self.tick), event)
         for _ in range(ticks):
             now = self.at(self.tick)
+            if self.tick % 33 == 0 and estimate is not None:
+                force_n, half_width_n, level = estimate
+                self.bag.write(ESTIMATE, now, (*force_n, 0.0, 0.0, 0.0, 0.0))
+                self.bag.write(HALF_WIDTH, now, (*half_width_n, 0.0, 0.0, 0.0, 0.0))
+                self.bag.write(LEVEL, now, (level,))
             if self.tick % 33 == 0:
                 self.bag.write(COMMAND, now, (0.5, 2.0))
             self.bag.write(JOINT, now, (0.001 * self.tick, 0.1))

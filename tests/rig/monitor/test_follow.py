@@ -56,6 +56,16 @@ def test_a_recording_is_told_as_it_was_written(bag):
     assert rows["command"][0] == [0.0, 0.5, 2.0]
 
 
+def test_the_estimate_of_feedback_is_shown_with_its_interval_and_level(bag):
+    recording = Recording().chunk(10, event=zero_event((0.5, 0.5)))
+    bag.write_bytes(recording.chunk(90, estimate=((1.1, -0.4), (0.02, 0.03), 1.5)).bytes)
+    rows = follower(bag).rows(0)
+    # It is already relative to the zero.
+    assert rows["estimate"][-1] == pytest.approx([0.99, 1.1, -0.4, 0.0])
+    assert rows["half_width"][-1] == pytest.approx([0.99, 0.02, 0.03, 0.0])
+    assert rows["level"][-1] == pytest.approx([0.99, 1.5])
+
+
 def test_the_force_is_shown_less_the_zero_that_was_measured_last(bag):
     recording = Recording().chunk(100)
     bag.write_bytes(recording.bytes)

@@ -110,6 +110,9 @@ X-series registers: 1,023 counts are 300 degrees, not 90, and a velocity of 1 is
 MAX_LEVER_M = 2.0
 """Maximum plausible torque about the shaft divided by the force [m]; 0.16 in the virtual tank."""
 
+POWER_BLOCKS = 8
+"""Number of parts of a log whose mean powers must agree in sign."""
+
 MAX_FORCE_SHARE = 0.985
 """Maximum plausible fraction of the variance of the torque about the shaft that the forces explain
 [-]; 0.88 to 0.93 in the virtual tank."""
@@ -629,18 +632,25 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
     moving = {name: np.asarray(values)[log.moving] for name, values in log.channels.items()}
     column = LOAD_CHANNELS[-1]
     for name in (column, CURRENT_CHANNEL):
-        if name in moving and not np.ptp(moving[name]):
+        values = np.unique(moving.get(name, [0.0, 1.0]))
+        if np.isfinite(values).sum() < 2:
             message = f"always {moving.pop(name)[0]:.4g} while the fin is moving: not measured"
             yield log.issue("warning", "constant", name, message, "remove the column")
     if column not in moving:
         return
-    torque = moving[column] - moving[column].mean()
-    force = log.columns.force[log.moving]
-    force -= force.mean()
+    known = np.isfinite(moving[column])
+    torque = moving[column][known]
+    torque = torque - torque.mean()
+    force = log.columns.force[log.moving][known]
+    force = force - force.mean()
+    if not force.std():
+        return
     parts = np.stack([force.real, force.imag], axis=1)
     share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
     lever_m = torque.std() / force.std()
-    power_w = np.mean(torque * log.columns.velocity[log.moving])
+    power_w = torque * log.columns.velocity[log.moving][known]
+    blocks = np.array([block.mean() for block in np.array_split(power_w, POWER_BLOCKS)])
+    error_w = blocks.std(ddof=1) / POWER_BLOCKS**0.5
     if lever_m > MAX_LEVER_M:
         message = f"a torque of this size corresponds to a lever of {lever_m:.3g} m"
         fix = "if it is in N mm, name its unit, e.g. torque_mNm, or divide the column by 1,000"
@@ -649,8 +659,8 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
         message = f"proportional to the force ({share:.1%}), like a torque about x or y"
         fix = "use the torque about the shaft, with --columns torque=COLUMN"
         yield log.issue("warning", "torque axis", column, message, fix)
-    elif power_w < 0:
-        message = f"opposes the motion of the fin: {power_w:.2g} W on average"
+    elif blocks.mean() < -5 * error_w:
+        message = f"opposes the motion of the fin: {blocks.mean():.2g} W on average"
         fix = _negate_option(log.config, ("torque",))
         yield log.issue("warning", "torque sign", column, message, fix)
 

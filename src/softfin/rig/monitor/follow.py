@@ -53,6 +53,9 @@ ROLES = {
     "wrench": messages.WRENCH,
     "command": messages.COMMAND,
     "reference": messages.REFERENCE,
+    "estimate": messages.ESTIMATE,
+    "half_width": messages.HALF_WIDTH,
+    "level": messages.LEVEL,
     "current": messages.CURRENT,
     "event": messages.EVENTS,
 }

@@ -25,6 +25,9 @@ COMMAND = "/fin/command"
 JOINT = "/fin/joint_states"
 WRENCH = "/fin/wrench"
 REFERENCE = "/fin/reference"
+ESTIMATE = "/fin/estimate"
+HALF_WIDTH = "/fin/estimate/half_width"
+LEVEL = "/fin/estimate/level"
 CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
@@ -47,6 +50,9 @@ TYPES = {
     JOINT: JOINT_STATE,
     WRENCH: WRENCH_STAMPED,
     REFERENCE: WRENCH_STAMPED,
+    ESTIMATE: WRENCH_STAMPED,
+    HALF_WIDTH: WRENCH_STAMPED,
+    LEVEL: FLOAT,
     CURRENT: FLOAT,
     EVENTS: STRING,
 }

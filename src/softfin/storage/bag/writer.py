@@ -20,8 +20,11 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import (
     COMMAND,
     CURRENT,
+    ESTIMATE,
     EVENTS,
+    HALF_WIDTH,
     JOINT,
+    LEVEL,
     REFERENCE,
     SECOND_NS,
     VOLTAGE,
@@ -129,6 +132,15 @@ class BagRecorder:
     def reference(self, time: float, force: Sequence[float]) -> None:
         """Record the reference force (x, y) [N]."""
         self._hand_in(REFERENCE, time, (*force, 0.0, 0.0, 0.0, 0.0))
+
+    def estimate(
+        self, time: float, force: Sequence[float], half_width: Sequence[float], level: float
+    ) -> None:
+        """Record the true mean force that feedback estimates and the half-width of its 90% interval
+        (x, y) [N], and how badly the family explains the measurements [-]."""
+        self._hand_in(ESTIMATE, time, (*force, 0.0, 0.0, 0.0, 0.0))
+        self._hand_in(HALF_WIDTH, time, (*half_width, 0.0, 0.0, 0.0, 0.0))
+        self._hand_in(LEVEL, time, (level,))
 
     def event(self, time: float, text: str) -> None:
         """Record an event as text."""
