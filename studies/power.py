@@ -43,7 +43,8 @@ SECONDS = 12
 """Duration of a run from rest; the last window is evaluated."""
 
 TOLERANCE_N = 0.15
-"""Distance from its target within which the force of a sine counts."""
+"""Distance from its target within which the force of a sine counts. It must not be smaller than the
+target, because a smaller force always costs less."""
 
 TANK = Tank()
 
@@ -95,8 +96,8 @@ def run_gaits(controller: LoadedController, references: Float[np.ndarray, "refer
 
 def run_sines() -> Runs:
     """Run all sines of a lattice."""
-    centres = np.linspace(0, -1.5, 16)
-    amplitudes = np.linspace(0.1, 1.5, 15)
+    centres = np.linspace(0, -1.5, 31)
+    amplitudes = np.linspace(0.05, 1.5, 30)
     sines = np.array(list(product(centres, amplitudes, FREQUENCIES_HZ)))
     commands = ShaftSine(*sines.T).commands(TANK.limits, SECONDS * RATE_HZ)
     parts = []
@@ -121,13 +122,11 @@ def draw(gaits: Mapping[str, LoadedController], sines: Runs) -> Figure:
                     MAGNITUDES_N[reached], found.power[:, 1], style, markersize=3, label=label
                 )
             apart = np.linalg.norm(sines.force[None] - targets[:, None], axis=-1)
-            cheapest = np.where(apart < TOLERANCE_N, sines.power[:, 1], np.inf).min(axis=1)
-            axes.plot(
-                MAGNITUDES_N,
-                np.where(np.isfinite(cheapest), cheapest, np.nan),
-                "x:",
-                label="best sine",
-            )
+            along = sines.force @ [np.cos(turn), np.sin(turn)]
+            counts = (apart < TOLERANCE_N) & (along[None] >= MAGNITUDES_N[:, None])
+            cheapest = np.where(counts, sines.power[:, 1], np.inf).min(axis=1)
+            found_one = counts.any(axis=1)
+            axes.plot(MAGNITUDES_N[found_one], cheapest[found_one], "x:", label="best sine")
             axes.plot(*T200_N_W.T, "k-.", linewidth=1, label="T200 thruster")
             axes.set(
                 title=f"{degrees} degrees from +x", xlabel="force [N]", xlim=(0, 4.2), ylim=(0, 16)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from softfin.core.compilation import jit
 from softfin.core.log_channels import LOAD_CHANNELS
-from softfin.core.power import measured_power, tick_velocity
+from softfin.core.power import mechanical_power, tick_velocity
 from softfin.core.quantities import Log
 from softfin.core.window import window_means
 from softfin.surrogate.streaming.ensemble import (
@@ -106,8 +106,9 @@ def power_means(
     means = [window_means(power[:, burn_in:, None]) for power in predicted]
     measured = []
     for log in logs:
-        power = measured_power(log.channels, np.asarray(log.reading.velocity), None)
-        measured.append(window_means(power[1 + burn_in :, :1]))
+        torque = np.asarray(log.channels[TORQUE])[:, None]
+        power = mechanical_power(torque, np.asarray(log.reading.velocity))
+        measured.append(window_means(power[1 + burn_in :]))
     return np.concatenate(means, axis=1), np.concatenate(measured)
 
 
