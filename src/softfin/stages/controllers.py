@@ -86,7 +86,7 @@ def map_forces(
         out: Controller folder to write: the gaits, the forces that they produce, and a figure.
         clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the stroke time of the
             fin (default: paper, which is 3,2).
-        power: Weight of the power in the search for gaits, such as 1 (default: 0, smoothest gaits).
+        power: Weight of the power in the search for gaits, such as 0.3 (default: 0, smoothest gaits).
         config: `MapConfig`; its fields are options too, such as --nodes 200.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
