@@ -34,6 +34,8 @@ TINY = {
     "collect --plant tank": "--plant tank.yaml",
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
+    # The tiny surrogate has no torque; tests/gaits/test_power.py has a plant with it.
+    "map --power": "--power 0",
     "calibrate": "--config calibrate.yaml --evaluations 0",
     "calibrate --config": "--config docs/calibration.yaml " + " ".join(flat(staged.CALIBRATE)),
     "train": "--config train.yaml",
