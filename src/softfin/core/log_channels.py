@@ -1,8 +1,8 @@
 """Additional channels that a log may contain besides command, angle, velocity and force (x, y).
 
 A channel's name is its column in log files and ends in its unit. The names below have the same
-meaning on the rig, in bags and on import; a log may also contain other channels. softfin does not
-learn from these channels.
+meaning on the rig, in bags and on import; a log may also contain other channels. softfin
+learns only from the torque about the shaft, which streaming surrogates predict.
 
 The z axis is x cross y, along the shaft. A positive velocity turns the fin about -z, from +y to +x.
 The load of the fin on its mount opposes the drive, so torque about z times velocity is the power

@@ -8,7 +8,7 @@ immutable; `softfin.core.plant_identity` compares them.
 import reprlib
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -256,27 +256,14 @@ def mean_loads(torque: Array, velocity: Array, ticks: Ticks) -> tuple[Array, Arr
 
 
 def hold(
-    plant: Plant, state: State, actions: Command, clock: ActionClock = PAPER_CLOCK
-) -> tuple[State, Reading]:
-    """Hold each of the ``(actions,)`` commands for one action of the clock; fields have the shape
-    ``(ticks,)``."""
-    return _hold(hold_action, plant, state, actions, clock)
-
-
-def hold_with_hidden(
-    plant: Plant, state: State, actions: Command, clock: ActionClock
-) -> tuple[State, tuple[Reading, Hidden]]:
-    """Hold commands like `hold`; also return the hidden quantities."""
-    return _hold(hold_action_with_hidden, plant, state, actions, clock)
-
-
-def _hold(
-    hold_one: Callable[[Plant, State, Command, Ticks, int], tuple[State, Output]],
     plant: Plant,
     state: State,
     actions: Command,
-    clock: ActionClock,
-) -> tuple[State, Output]:
+    clock: ActionClock = PAPER_CLOCK,
+    hold_one: Callable[[Plant, State, Command, Ticks, int], tuple[State, Any]] = hold_action,
+) -> tuple[State, Any]:
+    """Hold each of the ``(actions,)`` commands for one action of the clock, and return the readings
+    (or other output of `hold_one`); fields have the shape ``(ticks,)``."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(clock.action_ticks(count)))

@@ -36,12 +36,13 @@ from softfin.gaits.simulate import (
     PreTanh,
     ReportSearch,
     Survey,
+    SurveyConfig,
     action_to_pre_tanh,
     gait_families,
-    gait_powers,
     gait_sensitivity,
     simulate_gait,
     simulate_gait_with_power,
+    simulate_gaits,
     strokes,
 )
 
@@ -144,8 +145,10 @@ def find_gaits(
     found = _filled(table, nodes)
     power = None
     if has_torque(plant):
-        actions = np.asarray(found.actions).reshape(-1, *found.actions.shape[2:])
-        power = gait_powers(plant, actions, config.cycles, named_key(0, "gaits"), survey.clock)
+        gaits = np.asarray(found.actions).reshape(-1, *found.actions.shape[2:])
+        cycles = SurveyConfig(cycles=config.cycles)
+        _, power = simulate_gaits(plant, gaits, cycles, survey.clock, simulate_gait_with_power)
+        assert power is not None
         power = power.reshape(table.nodes)
     return GaitSearchResult(found, force, smoothness, power)
 

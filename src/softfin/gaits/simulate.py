@@ -19,7 +19,7 @@ from pydantic import Field, PositiveInt
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit, map_in_threads
 from softfin.core.configuration import Configuration
-from softfin.core.plant import Plant, hold, hold_with_hidden
+from softfin.core.plant import Plant, hold, hold_action_with_hidden
 from softfin.core.power import mechanical_power
 from softfin.core.quantities import AnyArray, Command, action_to_command
 from softfin.core.randomness import named_key
@@ -114,8 +114,7 @@ def simulate_gait_with_power(
 ) -> GaitResponse:
     """Return the forces like `simulate_gait`, and the power, for a plant that `has_torque`."""
     commands = _repeated(plant, gait, cycles, clock)
-    _, (reading, hidden) = hold_with_hidden(plant, plant.init(key), commands, clock)
-    assert hidden.torque is not None
+    _, (reading, hidden) = hold(plant, plant.init(key), commands, clock, hold_action_with_hidden)
     power = mechanical_power(hidden.torque[:, :1], jnp.asarray(reading.velocity))
     mean_power = power[-clock.window_ticks :].mean()
     return _last_window(jnp.asarray(reading.force), clock)._replace(power=mean_power)
@@ -143,35 +142,6 @@ def _repeated(plant: Plant, gait: Gait, cycles: int, clock: ActionClock) -> Comm
     windows = max(cycles, math.ceil(cycles * PAPER_CLOCK.window_ticks / clock.window_ticks))
     actions = jnp.tile(jnp.asarray(gait), (windows, 1))
     return jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
-
-
-def gait_powers(
-    plant: Plant,
-    gaits: Float[np.ndarray, "gaits actions 2"],
-    cycles: int,
-    key: PRNGKeyArray,
-    clock: ActionClock,
-) -> Float[np.ndarray, "gaits"]:
-    """Return the mean power of each gait [W], for a plant that `has_torque`."""
-
-    def power(batch: Float[np.ndarray, "batch actions 2"]) -> np.ndarray:
-        return np.asarray(_powers(plant, jnp.asarray(batch), cycles, key, clock))
-
-    batches = map_in_threads(power, _batches(gaits, SIDE_BY_SIDE))
-    return np.concatenate(batches)[: len(gaits)]
-
-
-@jit("low")
-def _powers(
-    plant: Plant,
-    gaits: Float[Array, "gaits actions 2"],
-    cycles: int,
-    key: PRNGKeyArray,
-    clock: ActionClock,
-) -> Any:
-    return jax.vmap(lambda gait: simulate_gait_with_power(plant, gait, cycles, key, clock).power)(
-        gaits
-    )
 
 
 SimulateGait = Callable[[Plant, Gait, int, PRNGKeyArray, ActionClock], GaitResponse]
@@ -326,13 +296,9 @@ def survey(
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
     families = gait_families(clock, velocities)
     gaits = np.concatenate([strokes(*family, *places) for family in families])
-    responses = []
-    for index, part in enumerate(_batches(gaits, config.batch), start=1):
-        response = _survey_batch(plant, jnp.asarray(part), config.cycles, clock, simulate)
-        responses.append(jax.tree.map(np.asarray, response))
-        done = min(index * config.batch, len(gaits))
-        report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
-    force, power = jax.tree.map(lambda *x: np.concatenate(x)[: len(gaits)], *responses)
+    force, power = simulate_gaits(
+        plant, gaits, config, clock, simulate, lambda done, note: report(0.8 * done, note)
+    )
     reachable = _pushed(plant, gaits, force, config, clock)
     report(1.0, "")
     shape = (len(families), len(CENTRES), len(AMPLITUDES))
@@ -341,22 +307,40 @@ def survey(
     return Survey(force.reshape(*shape, 2), reachable, clock, power, velocities)
 
 
+def simulate_gaits(
+    plant: Plant,
+    gaits: Float[np.ndarray, "n actions 2"],
+    config: SurveyConfig,
+    clock: ActionClock,
+    simulate: SimulateGait,
+    report: ReportSearch = lambda *_: None,
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"] | None]:
+    """Return the mean force [N] and, if `simulate` returns it, the mean power of each gait [W]."""
+    responses = []
+    for index, part in enumerate(_batches(gaits, config.batch), start=1):
+        response = _mean_responses(plant, jnp.asarray(part), config.cycles, clock, simulate)
+        responses.append(jax.tree.map(np.asarray, response))
+        done = min(index * config.batch, len(gaits))
+        report(done / len(gaits), f"{done} of {len(gaits)} gaits")
+    means: tuple[np.ndarray, np.ndarray | None] = jax.tree.map(
+        lambda *x: np.concatenate(x)[: len(gaits)], *responses
+    )
+    return means
+
+
 @jit("low")
-def _survey_batch(
+def _mean_responses(
     plant: Plant,
     gaits: Float[Array, "n actions 2"],
     cycles: int,
     clock: ActionClock,
     simulate: SimulateGait,
-) -> tuple[Float[Array, "n 2"], Float[Array, "n"] | None]:
-    key = named_key(0, "survey")
-
+) -> Any:
     def one(gait: Float[Array, "actions 2"]) -> tuple[Array, Array | None]:
-        response = simulate(plant, gait, cycles, key, clock)
+        response = simulate(plant, gait, cycles, named_key(0, "survey"), clock)
         return response.force, response.power
 
-    found: tuple[Array, Array | None] = jax.vmap(one)(gaits)
-    return found
+    return jax.vmap(one)(gaits)
 
 
 def _pushed(

@@ -32,11 +32,7 @@ from softfin.storage.paths import typed_path
 from softfin.storage.registry import check_plant, plant_name
 
 if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Bool
-
     from softfin.core.action_clock import ActionClock
-    from softfin.gaits.gait import GaitSearchResult
 
 AUTO = "auto"
 """Option value for a clock that suits the stroke time of the fin."""
@@ -86,7 +82,7 @@ def map_forces(
         out: Controller folder to write: the gaits, the forces that they produce, and a figure.
         clock: Clock: actions per second and window [s], e.g. 6,1; auto: from the stroke time of the
             fin (default: paper, which is 3,2).
-        power: Weight of the power in the search for gaits, such as 0.3 (default: 0, smoothest gaits).
+        power: Weight of the power in the search for gaits, e.g. 0.3 (default: 0, smoothest gaits).
         config: `MapConfig`; its fields are options too, such as --nodes 200.
         overwrite: Replace existing output.
         progress: Function that is called with the progress.
@@ -129,7 +125,6 @@ def map_forces(
     limits = Limits(*map(float, simulated.limits))
     save_gaits(out, force_map, tolerance_n, limits, keys, overwrite)
     errors = force_map.gaits.force_error()
-    held = errors <= tolerance_n
     box = reachable.bounding_box()
     values = {
         "controller": str(out),
@@ -137,11 +132,10 @@ def map_forces(
         "box_n": (box.low, box.high),
         "area_n2": reachable.area(),
         "nodes": errors.size,
-        "held": int(held.sum()),
+        "held": int((errors <= tolerance_n).sum()),
         "tolerance_n": tolerance_n,
         "reach_n": reachable.reach_n,
         "beyond": [list(force) for force in PAPER_REFERENCES if not reachable.contains(force)],
-        "power_w": _power_range(force_map.gaits, held),
         "warning": star_warning(force_map, tolerance_n),
     }
     return Result(values, f"{_describe_map(values)}\n{next_step(out, plant)}")
@@ -215,16 +209,6 @@ def family(
     return Result(values, text)
 
 
-def _power_range(
-    gaits: "GaitSearchResult", held: "Bool[np.ndarray, 'x y']"
-) -> tuple[float, float] | None:
-    """Return the range of the power of the gaits `held` [W]; None if it is unknown."""
-    if gaits.power is None or not held.any():
-        return None
-    power = gaits.power[held]
-    return float(power.min()), float(power.max())
-
-
 def _describe_map(values: JsonObject) -> str:
     from softfin.gaits.reachable import force_decimals
 
@@ -235,15 +219,11 @@ def _describe_map(values: JsonObject) -> str:
     )
     beyond = ", ".join(f"({x:g}, {y:g})" for x, y in values["beyond"]) or "none"
     warning = "" if values["warning"] is None else f"\nwarning: {values['warning']}"
-    power = ""
-    if values["power_w"] is not None:
-        low, high = values["power_w"]
-        power = f"mechanical power of these gaits: {low:.2g} .. {high:.2g} W\n"
     return (
         f"{values['controller']}: mean forces of x {x0:g} .. {x1:g} N and y {y0:g} .. {y1:g} N, "
         f"area {values['area_n2']:.3g} N2; {values['held']} of the {values['nodes']} forces on the "
         f"grid have a gait that produces them to within {values['tolerance_n']:g} N\n"
-        f"{power}clock: {values['clock']}\n"
+        f"clock: {values['clock']}\n"
         f"references of the paper that this fin cannot reach: {beyond}{warning}"
     )
 

@@ -67,7 +67,7 @@ def test_the_torque_of_a_mirrored_motion_has_the_other_sign(fitted):
     nets, _ = fitted
     motion = jax.tree.map(lambda x: jnp.stack([x, x]), small.motion(80))
     mirrored = jax.tree.map(jnp.negative, motion)
-    one, other = predict_power(nets, [motion, mirrored])
+    one, other = (predict_power(nets, each) for each in (motion, mirrored))
     # The velocity changes its sign as well, so the power does not.
     np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
     assert np.abs(one).max() > 0.1

@@ -152,7 +152,7 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
         return _motions(drives, before, waiting, jax.tree.map(lambda x: x[:, :-1], command))
 
-    return predict_together(logs, [log.rows for log in logs], predict)
+    return _together(logs, [log.rows for log in logs], predict)
 
 
 def predict_force(
@@ -168,10 +168,10 @@ def predict_force(
         force = np.asarray(_forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some)))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
-    return predict_together(motion, [each.angle.shape[1] for each in motion], predict)
+    return _together(motion, [each.angle.shape[1] for each in motion], predict)
 
 
-def predict_together(
+def _together(
     records: Sequence[PyTree], rows: Sequence[int], predict: Callable[[PyTree], PyTree]
 ) -> list[Any]:
     """Predict all records of equal length together, stacked on the second axis."""

@@ -6,7 +6,6 @@ forces do not depend on the torque.
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -22,7 +21,6 @@ from softfin.core.window import window_means
 from softfin.surrogate.streaming.ensemble import (
     PowerInterval,
     calibrate,
-    predict_together,
     split_first_row,
 )
 from softfin.surrogate.streaming.nets import ForceNet, ForceState
@@ -55,7 +53,8 @@ def fit_torque(
         # A refit starts from coefficients for the previous weights.
         return replace_torque(nets, None), None
     nets = identify_torque(nets, trained, burn_in)
-    return nets, calibrate_power(nets, held_out, burn_in)
+    floor_w, entries = calibrate(*power_means(nets, held_out, burn_in), len(held_out))
+    return nets, PowerInterval(floor_w=floor_w, **entries)
 
 
 def identify_torque(nets: ForceNet, recorded: MotionLogs, burn_in: int) -> ForceNet:
@@ -63,7 +62,7 @@ def identify_torque(nets: ForceNet, recorded: MotionLogs, burn_in: int) -> Force
     each log."""
     motion, logs = zip(*recorded[:IDENTIFICATION_LOGS], strict=True)
     part = slice(burn_in, None, EVERY)
-    features = np.concatenate([rows[:, part] for rows in _predict_features(nets, motion)], axis=1)
+    features = np.concatenate([_features(nets, each)[:, part] for each in motion], axis=1)
     torque = np.concatenate([np.asarray(log.channels[TORQUE])[1:][part] for log in logs])
     coefficients = []
     for member in features.astype(np.float64):
@@ -83,17 +82,11 @@ def replace_torque(
     return replaced
 
 
-def predict_power(
-    nets: ForceNet, motion: Sequence[Motion]
-) -> list[Float[np.ndarray, "members ticks"]]:
-    """Predict the power delivered to the fin in each row of the motions ``(members, rows)`` except
-    the first [W]."""
-    coefficients = np.asarray(nets.torque)
-    powers = []
-    for features, each in zip(_predict_features(nets, motion), motion, strict=True):
-        torque = np.einsum("mtf,mf->mt", features, coefficients)
-        powers.append(torque * tick_velocity(np.asarray(each.velocity))[:, 1:])
-    return powers
+def predict_power(nets: ForceNet, motion: Motion) -> Float[np.ndarray, "members ticks"]:
+    """Predict the power delivered to the fin in each row of a motion ``(members, rows)`` except the
+    first [W]."""
+    torque = np.einsum("mtf,mf->mt", _features(nets, motion), np.asarray(nets.torque))
+    return np.asarray(torque * tick_velocity(np.asarray(motion.velocity))[:, 1:])
 
 
 def power_means(
@@ -101,44 +94,28 @@ def power_means(
 ) -> tuple[Float[np.ndarray, "members windows 1"], Float[np.ndarray, "windows 1"]]:
     """Return the predicted and the measured mean power over all windows, without the first
     `burn_in` ticks of each log [W]."""
-    motion, logs = zip(*recorded, strict=True)
-    predicted = predict_power(nets, motion)
-    means = [window_means(power[:, burn_in:, None]) for power in predicted]
+    means = []
     measured = []
-    for log in logs:
+    for motion, log in recorded:
+        means.append(window_means(predict_power(nets, motion)[:, burn_in:, None]))
         torque = np.asarray(log.channels[TORQUE])[:, None]
         power = mechanical_power(torque, np.asarray(log.reading.velocity))
         measured.append(window_means(power[1 + burn_in :]))
     return np.concatenate(means, axis=1), np.concatenate(measured)
 
 
-def calibrate_power(nets: ForceNet, recorded: MotionLogs, burn_in: int) -> PowerInterval:
-    """Calibrate the interval of the mean power on held-out logs."""
-    means, measured = power_means(nets, recorded, burn_in)
-    floor_w, entries = calibrate(means, measured, len(recorded))
-    return PowerInterval(floor_w=floor_w, **entries)
-
-
-def _predict_features(
-    nets: ForceNet, motion: Sequence[Motion]
-) -> list[Float[np.ndarray, "members ticks features"]]:
-    def predict(some: Sequence[Motion]) -> Array:
-        return _features(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
-
-    return predict_together(motion, [each.angle.shape[1] for each in motion], predict)
-
-
 @jit("low")
-def _features(nets: ForceNet, motion: Motion) -> Float[Array, "members logs ticks features"]:
+def _features(nets: ForceNet, motion: Motion) -> Float[Array, "members ticks features"]:
+    """Return the odd features after each row of a motion ``(members, rows)`` except the first."""
+
     def one(net: ForceNet, motion: Motion) -> Float[Array, "ticks features"]:
+        before, after = split_first_row(motion)
+
         def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
             state, _ = net.step(state, now)
             return state, state.odd_features()
 
-        before, after = split_first_row(motion)
         return jax.lax.scan(step, net.start(before), after)[1]
 
-    features: Array = eqx.filter_vmap(lambda net, some: jax.vmap(partial(one, net))(some))(
-        nets, motion
-    )
+    features: Array = eqx.filter_vmap(one)(nets, motion)
     return features
