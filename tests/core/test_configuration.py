@@ -1,3 +1,5 @@
+from typing import Annotated, Literal
+
 import pytest
 from pydantic import Field, model_validator
 
@@ -178,3 +180,29 @@ def test_a_long_value_is_shortened_before_it_is_written_out():
     with pytest.raises(ConfigurationError) as error:
         Outer.build({"steps": values})
     assert len(str(error.value)) < 400
+
+
+class Cat(Configuration):
+    kind: Literal["cat"] = "cat"
+    lives: int = 9
+
+
+class Dog(Configuration):
+    kind: Literal["dog"] = "dog"
+    age: int = 1
+
+
+Pet = Annotated[Cat | Dog, Field(discriminator="kind")]
+
+
+class Owner(Configuration):
+    pet: Pet = Cat()
+    others: tuple[Pet, ...] = ()
+
+
+def test_merged_configurations_keep_their_class():
+    """Which pydantic recognizes by a field that nobody sets."""
+    owner = Owner(pet=Dog(), others=(Dog(), Cat()))
+    older = owner.merged({"pet": {"age": 4}}, "test")
+    assert older == Owner(pet=Dog(age=4), others=(Dog(), Cat()))
+    assert older.changed(["pet.age=5"]).others == owner.others

@@ -1,9 +1,7 @@
 import math
 
-import numpy as np
 import pytest
 
-from softfin.core.power import EC_MAX_30, motor_current
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample
 from softfin.rig.safety import Guard, SafetyConfig
@@ -62,21 +60,6 @@ def test_the_torque_of_the_motor_is_that_of_its_current():
     # The power is that at the velocity of half a tick before.
     assert motor == pytest.approx((CONSTANT_NM_A * 0.4, CONSTANT_NM_A * POWER_W), rel=0.01)
     assert not warnings
-
-
-def test_the_losses_of_the_gear_change_sides_when_the_fin_drives_it():
-    """The torque on the fin, if the rotor needs none."""
-    motor = EC_MAX_30
-    torques, _ = made(motor.torque_constant_nm_a * motor.gear_efficiency)
-    torques._session.machine.gear_efficiency = motor.gear_efficiency
-
-    def amperes(velocity):
-        torque = drag(velocity)
-        return float(motor_current(np.array([torque, torque]), np.float64(velocity), motor))
-
-    _, found = torques.means(action(current=amperes))
-    # The velocity is that of half a tick before. Without the change of sides, it is 0.3 N m.
-    assert found == pytest.approx((0.4, POWER_W), rel=0.05)
 
 
 def test_both_are_measured_independently():

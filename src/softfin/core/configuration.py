@@ -6,7 +6,7 @@ import re
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, get_origin
 
 import pydantic
 import yaml
@@ -191,16 +191,27 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(one_line(error)) from None
 
 
-def _merge(base: Any, over: Mapping[str, object]) -> JsonObject:
-    is_model = isinstance(base, Configuration)
-    before: JsonObject = vars(base) if is_model else base
-    values: JsonObject = base.model_dump(exclude_unset=True) if is_model else base
+def _merge(base: Configuration | JsonObject, over: Mapping[str, object]) -> JsonObject:
+    values = _set_fields(base) if isinstance(base, Configuration) else base
+    before: JsonObject = vars(base) if isinstance(base, Configuration) else base
     return values | {
         key: _merge(before[key], value)
         if isinstance(before.get(key), Configuration | dict) and isinstance(value, Mapping)
         else value
         for key, value in over.items()
     }
+
+
+def _set_fields(base: Configuration) -> JsonObject:
+    """Return the fields that are set, and those with only one possible value, by which pydantic
+    recognizes the class."""
+    names = [
+        name
+        for name, field in type(base).model_fields.items()
+        if name in base.model_fields_set
+        or (get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1)
+    ]
+    return {name: vars(base)[name] for name in names}
 
 
 def _explain(cls: Any, error: pydantic.ValidationError, values: Mapping[str, object]) -> str:

@@ -25,7 +25,6 @@ class Rig:
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         self.torque_constant_nm_a = drive.torque_constant_nm_a
-        self.gear_efficiency = drive.gear_efficiency
         self.motor = drive.motor
         # Stop immediately on a drive fault, without waiting for the next tick.
         self.drive: Drive = find_device(DriveType, drive.type).make(

@@ -120,11 +120,7 @@ class ShaftTorque:
         # Currents are means over the time since the previous sample.
         between = np.interp(time - TICK_S / 2, time, velocity)
         shaft = self._sensed.mean(torque, velocity, is_moving)
-        driving = self._constant(current) * current
-        # The constant includes the losses of the gear, which change sides when the fin drives it.
-        efficiency = getattr(self._session.machine, "gear_efficiency", 1.0)
-        lossless = np.where(driving * between < 0, driving / efficiency**2, driving)
-        motor = self._motor.mean(lossless, between, is_moving)
+        motor = self._motor.mean(self._constant(current) * current, between, is_moving)
         self._actions += 1
         self._is_missing = self._is_missing and shaft is None and motor is None
         if self._is_missing and self._actions >= UNMEASURED_ACTIONS:

@@ -44,6 +44,12 @@ def test_a_torque_that_is_only_noise_has_no_sign(log):
         assert "torque sign" not in found(log, torque_nm=noise)
 
 
+def test_a_torque_that_is_almost_never_measured_is_not_judged(log):
+    torque = np.full(len(log.reading.time), np.nan, np.float32)
+    torque[-5:] = [0.1, 0.2, 0.1, 0.3, 0.2]
+    assert not {"torque unit", "torque axis", "torque sign"} & set(found(log, torque_nm=torque))
+
+
 def test_missing_values_hide_no_fault(log):
     torque = 1000 * log.channels["torque_nm"]
     torque[500] = np.nan

@@ -110,9 +110,6 @@ X-series registers: 1,023 counts are 300 degrees, not 90, and a velocity of 1 is
 MAX_LEVER_M = 2.0
 """Maximum plausible torque about the shaft divided by the force [m]; 0.16 in the virtual tank."""
 
-POWER_BLOCKS = 8
-"""Number of parts of a log whose mean powers must agree in sign."""
-
 MAX_FORCE_SHARE = 0.985
 """Maximum plausible fraction of the variance of the torque about the shaft that the forces explain
 [-]; 0.88 to 0.93 in the virtual tank."""
@@ -638,19 +635,19 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
             yield log.issue("warning", "constant", name, message, "remove the column")
     if column not in moving:
         return
-    is_measured = np.isfinite(moving[column])
-    torque = moving[column][is_measured]
-    torque = torque - torque.mean()
-    force = log.columns.force[log.moving][is_measured]
-    force = force - force.mean()
-    if not force.std():
+    velocity = log.columns.velocity[log.moving]
+    rows = np.stack([moving[column], log.columns.force[log.moving], velocity], axis=1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if len(rows) < MIN_ALIGNED_S * RATE_HZ or not np.ptp(np.abs(rows[:, 1])):
         return
+    torque, force, velocity = (rows - rows.mean(axis=0)).T
+    torque = torque.real
     parts = np.stack([force.real, force.imag], axis=1)
     share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
     lever_m = torque.std() / force.std()
-    power_w = torque * log.columns.velocity[log.moving][is_measured]
-    blocks = np.array([block.mean() for block in np.array_split(power_w, POWER_BLOCKS)])
-    error_w = blocks.std(ddof=1) / POWER_BLOCKS**0.5
+    power_w = torque * velocity.real
+    seconds = power_w[: len(power_w) // RATE_HZ * RATE_HZ].reshape(-1, RATE_HZ).mean(axis=1)
+    error_w = seconds.std(ddof=1) / len(seconds) ** 0.5
     if lever_m > MAX_LEVER_M:
         message = f"a torque of this size corresponds to a lever of {lever_m:.3g} m"
         fix = "if it is in N mm, name its unit, e.g. torque_mNm, or divide the column by 1,000"
@@ -659,8 +656,8 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
         message = f"proportional to the force ({share:.1%}), like a torque about x or y"
         fix = "use the torque about the shaft, with --columns torque=COLUMN"
         yield log.issue("warning", "torque axis", column, message, fix)
-    elif blocks.mean() < -5 * error_w:
-        message = f"opposes the motion of the fin: {blocks.mean():.2g} W on average"
+    elif seconds.mean() < -3 * error_w:
+        message = f"opposes the motion of the fin: {seconds.mean():.2g} W on average"
         fix = _negate_option(log.config, ("torque",))
         yield log.issue("warning", "torque sign", column, message, fix)
 
