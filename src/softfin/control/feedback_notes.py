@@ -48,5 +48,5 @@ class FeedbackNotes:
 def _drift_note(drift_n: float) -> str:
     return (
         f"feedback: the force sensor has drifted or jumped by more than {FAR * drift_n:.2g} N, "
-        "which feedback does not correct; check its mount, then run softfin rig zero"
+        "which feedback does not correct; check its mount, then run softfin rig zero --arm"
     )
