@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softfin.core.power import mean_powers, power_cells, supply_power
+from softfin.core.power import mean_powers, power_cells, power_kind
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.scores import mean_scores, score
 from tests.evaluation.test_scores import record
@@ -19,7 +19,7 @@ def with_power(watts) -> ExperimentRecording:
 def test_the_mean_power_of_an_experiment_is_in_its_scores():
     power = mean_scores(score(with_power([2.0, 4.0])))["power"]
     assert power["mechanical"]["force_per_watt_n"] == pytest.approx(2.5 / 2)
-    assert supply_power(power) == "electrical"
+    assert power_kind(power) == "electrical"
     assert power["electrical"]["force_per_watt_n"] == pytest.approx(2.5 / 4)
     assert power["electrical"]["per_minute_j"] == 240
 

@@ -466,12 +466,11 @@ class Feedback:
         config = self.config
         window_s = self.clock.window_ticks / RATE_HZ
         kept_drift = math.exp(-window_s / (2 * config.drift_s))
-        kept = np.ones(self.size)
-        kept[self._drifts] = kept_drift
-        added = np.zeros(self.size)
-        added[: self.coefficients] = window_s / config.change_s
-        added[self._drifts] = 1 - kept_drift**2
         is_place = self._is_place
+        is_drift = self._is_drift
+        kept = 1 - (1 - kept_drift) * is_drift
+        added = (1 - kept_drift**2) * is_drift
+        added[: self.coefficients] = window_s / config.change_s
         near = self._near(ops, centre, state.used)
         faded = kept * (1 + is_place * (near - 1))
         added = added + is_place * (1 - near**2)
@@ -481,15 +480,12 @@ class Feedback:
     @cached_property
     def _is_place(self) -> Float[np.ndarray, "states"]:
         """1 for the states of the local error, 0 for the others."""
-        index = np.arange(self.size) - self.coefficients
-        return np.isin(index, (6, 7)).astype(float)
+        return np.isin(np.arange(self.size), self.coefficients + np.array([6, 7])).astype(float)
 
     @cached_property
     def _is_drift(self) -> Float[np.ndarray, "states"]:
         """1 for the states of the drift, 0 for the others."""
-        is_drift = np.zeros(self.size)
-        is_drift[self._drifts] = 1.0
-        return is_drift
+        return np.isin(np.arange(self.size), self.coefficients + np.array([8, 9])).astype(float)
 
     @cached_property
     def _durations(self) -> Float[np.ndarray, "actions"]:

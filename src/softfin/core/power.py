@@ -129,7 +129,7 @@ def mean_powers(thrust_n: float, means_w: Sequence[float]) -> dict[str, MeanPowe
     }
 
 
-def supply_power(powers: Mapping[str, MeanPower]) -> str:
+def power_kind(powers: Mapping[str, MeanPower]) -> str:
     """Return the name of the electrical power, or of the mechanical power if only that is known;
     empty if none is known."""
     return next((name for name in ("electrical", "mechanical") if name in powers), "")
@@ -146,7 +146,7 @@ def power_cells(powers: Mapping[str, MeanPower], name: str) -> list[str]:
 def describe_powers(powers: Mapping[str, MeanPower]) -> str:
     """Return the mean powers, the force per watt and the energy per minute on one line; empty if
     none is known."""
-    name = supply_power(powers)
+    name = power_kind(powers)
     if not name:
         return ""
     means = ", ".join(f"{own['mean_w']:.2f} W {name}" for name, own in powers.items())

@@ -16,7 +16,7 @@ import yaml
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from softfin.core.power import describe_powers, power_cells, supply_power
+from softfin.core.power import describe_powers, power_cells, power_kind
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
 from softfin.evaluation.headline import error_decimals, headline, over_seeds, settling_time
@@ -69,7 +69,7 @@ def write_report(
         error_decimals=error_decimals,
         over_seeds=over_seeds,
         settling_time=settling_time,
-        supply_power=supply_power,
+        power_kind=power_kind,
         power_cells=power_cells,
         describe_powers=describe_powers,
         **{f"{part}_figures": _encode(figures.get(part, {})) for part in PARTS},

@@ -5,7 +5,7 @@ from itertools import zip_longest
 from typing import Any
 
 from softfin.core.json_object import JsonObject
-from softfin.core.power import describe_powers, power_cells, supply_power
+from softfin.core.power import describe_powers, power_cells, power_kind
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import error_decimals, over_seeds, settling_time
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_I, PAPER_TABLE_II
@@ -55,8 +55,8 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     lines = []
     for name, summary in controllers.items():
         decimals = error_decimals(summary)
-        power = describe_powers(summary["mean"].get("power", {}))
-        kind = supply_power(summary["mean"].get("power", {}))
+        powers = summary["mean"].get("power", {})
+        kind = power_kind(powers)
         titles = (*TABLE_TWO_TITLES, *(("power W", "N/W") if kind else ()))
         rows = [[f"Table II, {name}", *titles]]
         notes = [""]
@@ -74,7 +74,9 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
             )
         rows.append(["  mean", *_scores(summary["mean"], decimals, kind)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
-        lines += [f"  {line}" for line in (describe_errors(summary), power) if line]
+        lines += [
+            f"  {line}" for line in (describe_errors(summary), describe_powers(powers)) if line
+        ]
     return "\n".join(lines)
 
 

@@ -635,17 +635,18 @@ def check_power(log: CheckedLog) -> Iterator[Issue]:
             yield log.issue("warning", "constant", name, message, "remove the column")
     if column not in moving:
         return
+    force = log.columns.force[log.moving]
     velocity = log.columns.velocity[log.moving]
-    rows = np.stack([moving[column], log.columns.force[log.moving], velocity], axis=1)
+    rows = np.stack([moving[column], force.real, force.imag, velocity], axis=1)
     rows = rows[np.isfinite(rows).all(axis=1)]
-    if len(rows) < MIN_ALIGNED_S * RATE_HZ or not np.ptp(np.abs(rows[:, 1])):
+    if len(rows) < MIN_ALIGNED_S * RATE_HZ or not np.ptp(rows[:, 1:3], axis=0).any():
         return
-    torque, force, velocity = (rows - rows.mean(axis=0)).T
-    torque = torque.real
-    parts = np.stack([force.real, force.imag], axis=1)
+    rows = rows - rows.mean(axis=0)
+    torque = rows[:, 0]
+    parts = rows[:, 1:3]
     share = 1 - (torque - parts @ np.linalg.lstsq(parts, torque)[0]).var() / torque.var()
-    lever_m = torque.std() / force.std()
-    power_w = torque * velocity.real
+    lever_m = torque.std() / np.linalg.norm(parts.std(axis=0))
+    power_w = torque * rows[:, 3]
     seconds = power_w[: len(power_w) // RATE_HZ * RATE_HZ].reshape(-1, RATE_HZ).mean(axis=1)
     error_w = seconds.std(ddof=1) / len(seconds) ** 0.5
     if lever_m > MAX_LEVER_M:
