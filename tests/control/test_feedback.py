@@ -302,7 +302,7 @@ def test_a_policy_does_not_repeat_so_its_windows_count_less() -> None:
     (gaits, policy) = (Feedback(each).newtons for each in (Carrier(), Policy()))
     assert gaits is not None
     assert policy is not None
-    assert policy.noise_n == 10 * gaits.noise_n
+    assert policy.noise_n == 20 * gaits.noise_n
 
 
 def test_torque_needs_a_family() -> None:

@@ -12,10 +12,13 @@ import pytest
 from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.feedback import Feedback
 from softfin.control.gait import GaitStep
+from softfin.control.pytrees import register_controllers
 from softfin.control.store import load_controller
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from tests.gaits.known import KNOWN, TABLE, save_known
+
+register_controllers()
 
 STEP, CELLS = GaitStep.load(KNOWN.to_dict(), KNOWN.arrays(), PAPER_LIMITS, ())
 CONTROLLER = LoadedController(STEP, PAPER_LIMITS, CELLS, KNOWN.reachable)
@@ -78,12 +81,9 @@ def test_a_map_comes_back_from_its_folder_as_a_controller(tmp_path: Path) -> Non
     assert again.limits == PAPER_LIMITS
 
 
-def test_the_folder_says_what_each_gait_makes(tmp_path: Path) -> None:
+def test_the_folder_says_where_it_is_from(tmp_path: Path) -> None:
     folder = save_known(tmp_path / "gaits", more={"a": 1})
     description = json.loads((folder / "controller.json").read_text())
     assert description["controller"] == "gaits"
-    assert len(description["scores"]) == 12
-    assert description["scores"][5]["reference_n"] == pytest.approx([1.5, 0.0])
-    assert description["scores"][5]["missed_n"] == pytest.approx(0.01 * 2**0.5, abs=1e-4)
     assert description["provenance"] == {"plant": "mine"}
     assert description["more"] == {"a": 1}

@@ -100,7 +100,7 @@ CLEAR = 1.5
 JUMP_SHARE = 0.1
 """Prior standard deviation of a sudden change of the sensor, as a fraction of the reach [-]."""
 
-POLICY_NOISE_N = 0.1
+POLICY_NOISE_N = 0.2
 """Default of `FeedbackConfig.noise_n` for policies on the paper's fin [N]."""
 
 UNFAMILIAR = 4.0
@@ -137,7 +137,7 @@ class FeedbackConfig(Configuration):
     affine in the reference [N]; null: 0.02 N, scaled."""
     noise_n: PositiveFloat | None = None
     """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.01
-    N for gaits, 0.1 N for policies, whose motion does not repeat, scaled."""
+    N for gaits, 0.2 N for policies, whose motion does not repeat, scaled."""
     change_s: PositiveFloat = 1500.0
     """Time in which the coefficients of the fin change by their standard deviation over the family
     [s]; smaller values correct faster changes."""

@@ -153,26 +153,13 @@ def save_gaits(
     from softfin.gaits.figure import map_figure
     from softfin.storage.figures import save_figure
 
-    gaits = force_map.gaits
-    error = gaits.force_error()
-    nodes = gaits.table.references()
-    scores = []
-    for place in np.ndindex(error.shape):
-        row = {
-            "reference_n": nodes[place].tolist(),
-            "missed_n": round(float(error[place]), 4),
-            "smoothness_n": gaits.smoothness[place].round(4).tolist(),
-        }
-        if gaits.power is not None:
-            row["power_w"] = round(float(gaits.power[place]), 4)
-        scores.append(row)
     figure = map_figure(force_map, tolerance_n)
 
     write_controller(
         path,
         GaitStep.kind,
         limits,
-        {**force_map.to_dict(), "scores": scores, **keys},
+        {**force_map.to_dict(), **keys},
         force_map.arrays(),
         lambda folder: save_figure(figure, folder / "map.png"),
         overwrite,
