@@ -248,6 +248,7 @@ WEIGHT = 0.3
 def power(seeds: Sequence[int]) -> Part:
     """Gaits and policies with and without power in their objective, from logs with torque."""
     steps: list[Step] = []
+    predicted: list[Step] = []
     controllers: dict[str, list[Step]] = {
         kind: [] for kind in ("gaits", "gaits-power", "single", "single-power")
     }
@@ -255,6 +256,12 @@ def power(seeds: Sequence[int]) -> Part:
         logs = dataset(seed, "torque-logs", "--channels true")
         model = f"torque-{seed}"
         steps += [logs, step(model, f"softfin fit {logs.name} --seed {seed}", 3, seed, TINY_NETS)]
+        unseen = dataset(700 + seed, "torque-logs", "--channels true")
+        name = f"power-{model}"
+        predicted.append(
+            step(name, f"python -m results.scripts power {model} {unseen.name} {name}", 0.5, seed)
+        )
+        steps += [unseen, predicted[-1]]
         options, minutes = POLICIES["single-ppo"]
         in_reward = f"--task.reward.power {WEIGHT}"
         whole = ("", f" --power {WEIGHT}")
@@ -306,6 +313,13 @@ def power(seeds: Sequence[int]) -> Part:
             for power, those in ratios.items():
                 means = np.mean(those, axis=0).tolist()
                 figures[f"{kind}.{power}.ratio"] = figure("", means, seeds)
+        scores = [work.json(f"{name}/power.json") for name in names_of(predicted)]
+        figures["predicted.log_error"] = figure(
+            "%", [100 * each["log_error"] for each in scores], seeds, "worst"
+        )
+        figures["predicted.coverage"] = figure(
+            "%", [100 * each["coverage"] for each in scores], seeds
+        )
         return figures
 
     return Part(
