@@ -31,7 +31,9 @@ class Recording:
     def at(self, tick):
         return START_NS + tick * 10_000_000
 
-    def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None, estimate=None, load=(0.1, 0.25)):
+    def chunk(
+        self, ticks, force=(1.0, -0.5), reference=None, event=None, estimate=None, load=(0.1, 0.25)
+    ):
         """`load` is the velocity [rad/s] and the torque about the shaft [N m], or a function of the
         tick."""
         if reference is not None:

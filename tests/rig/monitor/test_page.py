@@ -11,7 +11,6 @@ from softfin.rig.monitor import web
 from softfin.rig.monitor.follow import Follower
 from softfin.storage.bag.zero import zero_event
 from tests.browser import Browser
-from tests.patience import HANG_S
 from tests.rig.monitor.bags import Recording
 
 
