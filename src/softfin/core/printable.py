@@ -1,5 +1,5 @@
-"""Makes text from files and devices safe to display; the name of a fin, for example, may contain
-terminal control sequences."""
+"""Text for display: safe, because the name of a fin from a file or device, for example, may contain
+terminal control sequences, and with minus signs."""
 
 
 def printable(text: str, keep: str = "", most: int | None = None) -> str:
@@ -16,3 +16,8 @@ def printable(text: str, keep: str = "", most: int | None = None) -> str:
         for letter in text[:most]
     )
     return shown if most is None or max(len(text), len(shown)) <= most else shown[: most - 2] + " …"
+
+
+def with_minus_signs(text: str) -> str:
+    """Replace hyphens with minus signs in a text in which every hyphen is a minus sign."""
+    return text.replace("-", "\N{MINUS SIGN}")

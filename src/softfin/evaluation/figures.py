@@ -11,13 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.projections.polar import PolarAxes
 
+from softfin.core.printable import with_minus_signs
 from softfin.core.quantities import AXES, RATE_HZ, TICK_S, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.fin_figure import draw_fin
 from softfin.evaluation.headline import settling_time
 from softfin.evaluation.moving_references import MovingScores
-from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
+from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10

@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from softfin.core.printable import with_minus_signs
 from softfin.core.quantities import AXES
 from softfin.evaluation.results import EvaluationSummary, MeanScores, MovingRow, RunResults
 from softfin.gaits.reachable import force_decimals
-from softfin.storage.figures import with_minus_signs
 
 
 class Headline(NamedTuple):

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from softfin.core.power import describe_powers, power_cells, power_kind
+from softfin.core.printable import with_minus_signs
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.figures import add_legend
 from softfin.evaluation.headline import error_decimals, headline, over_seeds, settling_time
@@ -27,7 +28,6 @@ from softfin.storage.figures import (
     BLUE,
     new_figure,
     styled,
-    with_minus_signs,
 )
 
 Figures = Mapping[str, Path]

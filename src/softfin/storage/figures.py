@@ -64,8 +64,3 @@ def _render(figure: Figure, kind: str) -> bytes:
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
         figure.savefig(buffer, format=kind, metadata=metadata)
     return buffer.getvalue()
-
-
-def with_minus_signs(text: str) -> str:
-    """Replace hyphens with minus signs in a text in which every hyphen is a minus sign."""
-    return text.replace("-", "\N{MINUS SIGN}")
