@@ -54,6 +54,7 @@ IN_THE_README = {
     # Fitted well enough that the forces exceed their noise, and mapped wherever they lie.
     "fit": "--force-updates 200",
     "map": "--config map.yaml --box null --spacing-n null --nodes 4",
+    "family": "--plant tank.yaml --fins 20 --nodes 3 --nominal-nodes 3",
     "evaluate": "--plant tank.yaml",
     "rig --arm": "--yes",
     "run --arm": "--yes --seconds 1",

@@ -34,10 +34,11 @@ class FeedbackNotes:
         assert isinstance(self._controller, Feedback)
         drift_n = float(np.abs(np.asarray(estimate.drift)).max())
         usual_n = self._controller.config.drift_n
+        has_family = self._controller.family is not None
         causes = {
-            NO_FAMILY_NOTE: self._controller.family is None,
+            NO_FAMILY_NOTE: not has_family,
             UNFAMILIAR_NOTE: float(estimate.level) > UNFAMILIAR,
-            _drift_note(usual_n): drift_n > FAR * usual_n and usual_n > 0,
+            _drift_note(usual_n): has_family and drift_n > FAR * usual_n > 0,
         }
         for note, holds in causes.items():
             if holds and note not in self._told:
@@ -48,5 +49,6 @@ class FeedbackNotes:
 def _drift_note(drift_n: float) -> str:
     return (
         f"feedback: the force sensor has drifted or jumped by more than {FAR * drift_n:.2g} N, "
-        "which feedback does not correct; check its mount, then run softfin rig zero --arm"
+        "which feedback does not correct; check its mount, stop the run, and with the fin at rest "
+        "in the water, run: softfin rig zero --force"
     )
