@@ -76,7 +76,55 @@ def recurrent(plant: str, out: str, seed: str, steps: str = "30000", seconds: st
     (Path(out) / "baselines.json").write_text(json.dumps(scores))
 
 
+def power(surrogate: str, dataset: str, out: str) -> None:
+    """Write power.json: how well a surrogate predicts the power of logs that it has not seen.
+
+    Mean power over whole logs, relative to the mean of all of them, and how many means over 2 s the
+    90% interval holds.
+    """
+    import numpy as np
+
+    from softfin.core.power import mechanical_power
+    from softfin.storage.dataset import Dataset
+    from softfin.surrogate import load_surrogate
+    from softfin.surrogate.streaming.ensemble import predict_motion
+    from softfin.surrogate.streaming.torque import (
+        TORQUE,
+        power_means,
+        predict_power,
+        with_torque,
+    )
+
+    burn_in = 300
+    data = Dataset.open(Path(dataset))
+    logs = list(data.load(data.train))
+    model = load_surrogate(Path(surrogate))
+    nets = model.members.force
+    motion = predict_motion(model.members.drive, logs)
+    means, measured = power_means(nets, with_torque(motion, logs), burn_in)
+    is_inside = np.abs(means.mean(0) - measured) <= model.power_interval.half_width(means)
+    whole = np.array([predict_power(nets, each).mean(0)[burn_in:].mean() for each in motion])
+    true = np.array(
+        [
+            mechanical_power(
+                np.asarray(log.channels[TORQUE])[:, None], np.asarray(log.reading.velocity)
+            )[burn_in + 1 :].mean()
+            for log in logs
+        ]
+    )
+    scores = {
+        "log_error": float(np.abs(whole - true).max() / true.mean()),
+        "coverage": float(is_inside.mean()),
+    }
+    Path(out).mkdir()
+    (Path(out) / "power.json").write_text(json.dumps(scores))
+
+
 if __name__ == "__main__":
-    {"as-test": as_test, "tank-r2": tank_r2, "efficiency": efficiency, "recurrent": recurrent}[
-        sys.argv[1]
-    ](*sys.argv[2:])
+    {
+        "as-test": as_test,
+        "tank-r2": tank_r2,
+        "efficiency": efficiency,
+        "recurrent": recurrent,
+        "power": power,
+    }[sys.argv[1]](*sys.argv[2:])

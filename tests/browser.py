@@ -103,9 +103,13 @@ class Browser:
 
     def open(self, page: Path, state: str = "") -> None:
         """Open a file, and wait until it has drawn twice."""
+        self.visit(f"{page.as_uri()}{state}")
+
+    def visit(self, address: str) -> None:
+        """Open an address, and wait until the page has drawn twice."""
         # A change of the state alone would not load the page anew.
         self.call("Page.navigate", url="about:blank")
-        self.call("Page.navigate", url=f"{page.as_uri()}{state}")
+        self.call("Page.navigate", url=address)
         self.run(
             "new Promise((done) => document.readyState === 'complete' ? done() : "
             "addEventListener('load', done))"

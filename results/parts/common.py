@@ -98,11 +98,11 @@ PUBLISHED = step(
 )
 
 
-def dataset(seed: int) -> Step:
+def dataset(seed: int, name: str = "dataset", options: str = "") -> Step:
     """The paper's number of logs of the tank."""
     return step(
-        f"dataset-{seed}",
-        f"softfin collect --plant tank --seed {seed}",
+        f"{name}-{seed}",
+        f"softfin collect --plant tank {options} --seed {seed}",
         0.5,
         seed,
         "--logs 12 --test-logs 1 --rows 1500",

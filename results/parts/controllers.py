@@ -6,8 +6,10 @@ import numpy as np
 
 from results.parts.common import (
     PAPER_BOX,
+    POLICIES,
     PUBLISHED,
     TINY_MAP,
+    TINY_NETS,
     TORQUE_ONLY,
     Figures,
     Part,
@@ -22,6 +24,7 @@ from results.parts.common import (
     paper,
     step_times,
     streaming,
+    train,
 )
 from results.record import figure
 from results.steps import Step, step
@@ -236,6 +239,99 @@ def recurrent(seeds: Sequence[int]) -> Part:
         return {"single.error": _means(work, "recurrent", seeds)["recurrent_ppo"]}
 
     return Part("RecurrentPPO of sb3-contrib", (PUBLISHED, *steps), read)
+
+
+WEIGHT = 0.3
+"""Weight of the power [N/W] that docs/power.md recommends."""
+
+
+def power(seeds: Sequence[int]) -> Part:
+    """Gaits and policies with and without power in their objective, from logs with torque."""
+    steps: list[Step] = []
+    predicted: list[Step] = []
+    controllers: dict[str, list[Step]] = {
+        kind: [] for kind in ("gaits", "gaits-power", "single", "single-power")
+    }
+    for seed in seeds:
+        logs = dataset(seed, "torque-logs", "--channels true")
+        model = f"torque-{seed}"
+        steps += [logs, step(model, f"softfin fit {logs.name} --seed {seed}", 3, seed, TINY_NETS)]
+        unseen = dataset(700 + seed, "torque-logs", "--channels true")
+        name = f"power-{model}"
+        predicted.append(
+            step(name, f"python -m results.scripts power {model} {unseen.name} {name}", 0.5, seed)
+        )
+        steps += [unseen, predicted[-1]]
+        options, minutes = POLICIES["single-ppo"]
+        in_reward = f"--task.reward.power {WEIGHT}"
+        whole = ("", f" --power {WEIGHT}")
+        for kind, more in zip(("gaits", "gaits-power"), whole, strict=True):
+            name = f"{kind}-{model}"
+            controllers[kind].append(step(name, f"softfin map {model}{more}", 2, seed, TINY_MAP))
+        for kind, more in (("single", ""), ("single-power", in_reward)):
+            found = train(kind, f"{options} {more}", model, seed, minutes)
+            controllers[kind].append(found)
+    judged = {
+        kind: [evaluate(each, "tank", "power", "", 0.5) for each in those]
+        for kind, those in controllers.items()
+    }
+    shown = {
+        "default map": "gaits",
+        "map with --power": "gaits-power",
+        "LSTM-PPO": "single",
+        "LSTM-PPO with power": "single-power",
+    }
+    named = {label: controllers[kind][0].name for label, kind in shown.items()}
+    words = " ".join(f"'{label}={name}'" for label, name in named.items())
+    drawn = step(
+        "power-figure",
+        f"python -m studies.power power.png {words}",
+        3,
+        after=tuple(named.values()),
+    )
+
+    def read(work: Work) -> Figures:
+        figures: Figures = {}
+        found = {kind: work.evaluations(names_of(those)) for kind, those in judged.items()}
+        for kind, rows in found.items():
+            figures[f"{kind}.error"] = figure("N", [pair(row["mean"]) for row in rows], seeds)
+            figures[f"{kind}.std"] = figure(
+                "N", [pair(row["mean"], "std_n") for row in rows], seeds
+            )
+            # The mean of the ratios, not the ratio of the means.
+            ratios: dict[str, list[list[float]]] = {"mechanical": [], "electrical": []}
+            for index, row in enumerate(rows[0]["references"]):
+                where = "{:g},{:g}".format(*row["reference_n"])
+                for power, those in ratios.items():
+                    watts, before = (
+                        [each["references"][index]["power"][power]["mean_w"] for each in some]
+                        for some in (rows, found["gaits"])
+                    )
+                    figures[f"{kind}.{power}.{where}"] = figure("W", watts, seeds)
+                    those.append([one / other for one, other in zip(watts, before, strict=True)])
+                    figures[f"{kind}.{power}.ratio.{where}"] = figure("", those[-1], seeds)
+            for power, those in ratios.items():
+                means = np.mean(those, axis=0).tolist()
+                figures[f"{kind}.{power}.ratio"] = figure("", means, seeds)
+        scores = [work.json(f"{name}/power.json") for name in names_of(predicted)]
+        figures["predicted.log_error"] = figure(
+            "%", [100 * each["log_error"] for each in scores], seeds, "worst"
+        )
+        figures["predicted.coverage"] = figure(
+            "%", [100 * each["coverage"] for each in scores], seeds
+        )
+        return figures
+
+    return Part(
+        "Force per watt",
+        (
+            *steps,
+            *(each for those in (*controllers.values(), *judged.values()) for each in those),
+            drawn,
+        ),
+        read,
+        {"docs/power.png": "power.png"},
+    )
 
 
 def choices(seeds: Sequence[int]) -> Part:

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from softfin.core.power import mean_powers
 from softfin.core.window import interval
 from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.evaluation.experiment import ExperimentRecording
@@ -153,6 +154,48 @@ def test_table_two_has_errors_deviations_and_travel_and_tells_a_still_fin(page, 
     cells += [re.escape(f"{value:#.3g}") for value in (x["raw_std_n"], y["raw_std_n"])]
     assert re.search(rf"\(1, .1\) {' '.join(cells)} ", page.words)
     assert page.words.count("does not move") == 6 + 1
+
+
+class Tables(HTMLParser):
+    """Width of each row of each table, in columns; a cell may span several rows and columns."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.widths = []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "table":
+            self.widths.append([])
+            self.spanned = Counter()
+        elif tag == "tr":
+            self.widths[-1].append(self.spanned[len(self.widths[-1])])
+        elif tag in ("td", "th"):
+            spans = dict(attrs)
+            columns = int(spans.get("colspan", 1))
+            self.widths[-1][-1] += columns
+            row = len(self.widths[-1])
+            for below in range(row, row + int(spans.get("rowspan", 1)) - 1):
+                self.spanned[below] += columns
+
+
+@pytest.mark.parametrize("means_w", [None, [2.0, np.nan], [2.0, 4.0]])
+def test_every_row_of_a_table_is_as_wide_as_its_header(results, evaluation, tmp_path, means_w):
+    """With and without power, also if one of the references has none."""
+    summary = evaluation.summary()
+    references = [dict(row) for row in summary["references"]]
+    mean = dict(summary["mean"])
+    if means_w is not None:
+        for row in (*references[1:], mean):
+            row["power"] = mean_powers(3.0, means_w)
+    controllers = {"single": {**summary, "references": references, "mean": mean}}
+    write_report(tmp_path / "report.html", {**results, "controllers": controllers})
+    html = (tmp_path / "report.html").read_text()
+    tables = Tables(html).widths
+    assert all(len(set(widths)) == 1 for widths in tables), tables
+    (table_two,) = [widths for widths in tables if len(widths) == 2 + len(references)]
+    assert table_two[0] == (8 if means_w is None else 10)
+    assert ("J per minute" in html) == (means_w is not None)
 
 
 def test_simulated_errors_do_not_stand_beside_those_of_the_papers_fin(page):

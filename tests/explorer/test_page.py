@@ -10,6 +10,7 @@ import pytest
 from softfin.control.family import save_family
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.power import mean_powers, power_cells
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.explorer.page import DRAWN, read_script
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
@@ -387,8 +388,35 @@ def test_a_restart_clears_the_figures(opened):
     opened.run("run(250); draw()")
     assert opened.run("element('predicted-x').textContent") != "\u2013"
     opened.run("begin(); draw()")
-    names = ("mean-x", "error-y", "average-x", "sobolev-x", "predicted-x", "half-y", "distance")
+    names = (
+        "mean-x",
+        "error-y",
+        "average-x",
+        "sobolev-x",
+        "predicted-x",
+        "half-y",
+        "distance",
+        "power",
+    )
     assert {opened.run(f"element('{name}').textContent") for name in names} == {"\u2013"}
+
+
+def test_the_power_stands_next_to_the_error_for_plants_with_torque(opened):
+    opened.run("run(300); draw()")
+    power_w = opened.run("loop.power()")
+    powers = mean_powers(np.hypot(*opened.run("loop.mean()")), [np.nan, power_w])
+    cells = power_cells(powers, "electrical")
+    assert opened.run("element('power').textContent") == "{} W, {} N/W".format(*cells)
+    label = opened.run("element('power-row').cells[0].innerText")
+    assert label.startswith("electrical power, 2 s\n")
+    end_w = float(label.split()[-2])
+    assert power_w <= end_w <= 2.5 * power_w
+    part = opened.run("element('power-bar').style.getPropertyValue('--part')")
+    assert float(part.rstrip("%")) == pytest.approx(100 * power_w / end_w)
+    assert opened.run("element('power-bar').offsetWidth") > 50
+    # This surrogate does not predict the torque.
+    opened.run("choose({ plant: 1 }); draw()")
+    assert opened.run("element('power-row').hidden")
 
 
 def test_the_average_error_is_that_of_the_windows_since_the_last_change(opened):
@@ -441,7 +469,7 @@ def test_feedback_uses_what_is_chosen_and_says_what_it_finds(opened):
         assert opened.run("loop.controller.feedback?.uses ?? 'none'") == uses
         assert (opened.run("loop.controller.feedback === null")) == (uses == "none")
     opened.run("choose({ feedback: 'torque', plant: 1 }); run(50)")
-    assert state() == "A surrogate does not predict the torque."
+    assert state() == "This surrogate does not predict the torque."
     opened.run("choose({ controller: 1, plant: 0 }); run(50)")
     assert state() == "Feedback from torque requires a family of fins (softfin family)."
     assert opened.run("loop.controller.feedback === null")

@@ -24,7 +24,7 @@ output = input.commands.map(([angle, velocity], tick) => {
   if (tick === input.pushed) plant.push([0.1, -0.4]);
   if (input.factors) [plant.stiffness, plant.drag] = input.factors[tick];
   const reading = plant.tick({ angle, velocity });
-  return [reading.angle, reading.velocity, ...reading.force, reading.torque ?? 0, reading.motorTorque ?? 0, plant.distance ? plant.distance() : 0,
+  return [reading.angle, reading.velocity, ...reading.force, reading.torque || 0, reading.motorTorque ?? 0, plant.distance ? plant.distance() : 0,
     ...(plant.halfWidth ? [0, 1].map((axis) => plant.halfWidth(reading.forces.map((force) => force[axis]))) : [0, 0])];
 });
 """

@@ -575,11 +575,11 @@ class Feedback:
         # The size of this system is the number of states, not of measurements, and the covariance
         # may be singular.
         system = np.eye(covariance.shape[0]) + covariance @ information
-        after = ops.xp.linalg.solve(system, covariance)
+        after, volume = ops.solve(system, covariance)
         pull = errors @ weighted
         change = after @ pull
         innovation = (weights * errors**2).sum() - pull @ change
-        return _Correction(change, after, innovation, ops.xp.linalg.slogdet(system)[1])
+        return _Correction(change, after, innovation, volume)
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
         """Move the corrected reference into the reachable forces and the controller cells.

@@ -6,6 +6,9 @@ let colours = {}, waiting = false;
 
 const numeral = (value, digits) => (value < 0 && Number(value.toFixed(digits)) !== 0 ? "\u2212" : "") + Math.abs(value).toFixed(digits);
 
+/* The force per watt of a mean force [N] and a mean power [W], in the words of softfin.core.power. */
+const forcePerWatt = (thrust, power) => `${power > 0 ? numeral(thrust / power, 2) : "-"} N/W`;
+
 /* A canvas in CSS pixels, sharp on every screen. */
 function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;

@@ -45,6 +45,11 @@ class Operations:
         """Return the product of a vector and a matrix."""
         return vector.dot(matrix)
 
+    def solve(self, system: Array, right: Array) -> tuple[Array, Number]:
+        """Return the solution of a system of equations, and the logarithm of the determinant of its
+        square matrix."""
+        return np.linalg.solve(system, right), np.linalg.slogdet(system)[1]
+
     def whole(self, number: Number) -> Number:
         """Round towards 0, to an integer."""
         return int(number)
@@ -71,6 +76,7 @@ class JaxOperations(Operations):
         self.xp = jax.numpy
         self._map = jax.tree.map
         self._cond = jax.lax.cond
+        self._loop = jax.lax.fori_loop
 
     def row(self, table: Array, index: Number) -> Array:
         """Index the table dynamically."""
@@ -89,6 +95,30 @@ class JaxOperations(Operations):
     ) -> Any:
         """Compute one of the two values with ``cond``."""
         return self._cond(condition, then, otherwise)
+
+    def solve(self, system: Array, right: Array) -> tuple[Array, Number]:
+        """Solve by Gauss-Jordan elimination with partial pivoting.
+
+        Not with LAPACK: two of its calls for batches of systems, at the same time in one program,
+        wait for each other's threads for ever (jaxlib 0.10.2, two cores).
+        """
+        xp = self.xp
+        size = len(system)
+        index = xp.arange(size)
+
+        def eliminate(k: Number, state: tuple[Array, Number]) -> tuple[Array, Number]:
+            rows, logarithm = state
+            largest = xp.where(index < k, -1.0, xp.abs(rows[:, k])).argmax()
+            row = rows[largest]
+            rows = rows.at[largest].set(rows[k])
+            pivot = row[k]
+            row = row / pivot
+            rows = (rows - rows[:, k, None] * row).at[k].set(row)
+            return rows, logarithm + xp.log(xp.abs(pivot))
+
+        start = (xp.concatenate([system, right], axis=1), xp.zeros((), system.dtype))
+        rows, logarithm = self._loop(0, size, eliminate, start)
+        return rows[:, size:], logarithm
 
     def whole(self, number: Number) -> Number:
         """Convert to int32."""

@@ -20,6 +20,7 @@ from softfin.core.action_clock import ActionClock
 from softfin.core.errors import PlantError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
+from softfin.core.power import EC_MAX_30
 from softfin.core.quantities import AnyArray, Limits
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate.protocol import ExplorableSurrogate
@@ -74,6 +75,7 @@ def tank_data(tank: Tank) -> JsonObject:
         "fin": _numbers(tank.fin),
         "water": _numbers(tank.water),
         "sensor": _numbers(tank.sensor),
+        "motor": EC_MAX_30._asdict(),
         "rest_rad": tank.limits.rest_angle,
     }
 

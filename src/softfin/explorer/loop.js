@@ -41,6 +41,8 @@ class Loop {
   constructor(plants, plant, controller, reference) {
     Object.assign(this, { plants, plant, reference, time: 0 });
     this.averages = Object.fromEntries(Object.keys(plants).map((name) => [name, new MovingWindow(WINDOW)]));
+    // Mechanical and electrical power [W].
+    this.powers = Object.fromEntries(Object.keys(plants).map((name) => [name, new MovingWindow(WINDOW)]));
     this.memberAverages = Object.fromEntries(Object.entries(plants).map(([name, each]) => [name, (each.members || []).map(() => new MovingWindow(INTERVAL_WINDOW))]));
     // Of the last window, for the plants that know their distance from their training data.
     this.distances = Object.fromEntries(Object.entries(plants).filter(([, each]) => each.distance).map(([name]) => [name, []]));
@@ -67,7 +69,9 @@ class Loop {
       this.action++;
     }
     for (const [name, plant] of Object.entries(this.plants)) {
-      const reading = (this.readings[name] = plant.tick(this.command));
+      const reading = plant.tick(this.command), { velocity } = this.readings[name] ?? reading;
+      this.readings[name] = reading;
+      this.powers[name].push(drivePower(reading, velocity, plant.motor));
       this.averages[name].push(reading.force);
       this.memberAverages[name].forEach((window, index) => window.push(reading.forces[index]));
       if (this.distances[name]) this.distances[name] = [...this.distances[name].slice(1 - WINDOW), plant.distance()];
@@ -75,7 +79,7 @@ class Loop {
     this.left--;
     this.time++;
     const reading = this.readings[this.plant], force = reading.force;
-    // Only a tank has torques. They are means over a tick, so their power uses the mean velocity, within an action as in Python.
+    // Torques are means over a tick, so their power uses the mean velocity, within an action as in Python.
     const { torque = NaN, motorTorque = NaN } = reading, ticks = ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length];
     const velocity = (reading.velocity + (this.left === ticks - 1 ? reading.velocity : this.velocity)) / 2;
     this.velocity = reading.velocity;
@@ -90,6 +94,12 @@ class Loop {
   /* Mean force over the window [N]; NaN before the first window is full, which a canvas does not draw. */
   mean() {
     return this.time < WINDOW ? [NaN, NaN] : this.averages[this.plant].mean();
+  }
+
+  /* Mean power over the window [W], electrical if known, and otherwise mechanical; NaN like the mean force. */
+  power() {
+    const [mechanical, electrical] = this.time < WINDOW ? [NaN, NaN] : this.powers[this.plant].mean();
+    return this.plants[this.plant].power === "electrical" ? electrical : mechanical;
   }
 
   /* |moving average - reference| on either axis [N]. */

@@ -29,7 +29,7 @@ const HAND_SLIDERS = {
 const SLIDERS = { ...HAND_SLIDERS, stiffness: FIN_RANGE, drag: FIN_RANGE };
 const digitsOf = (name) => (name in NEW_FIN ? 0 : 2);
 
-let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
+let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false, barEnd = 0;
 
 /* How the force does since the target or a condition changed: when the error came within the limit, and its sum. */
 let watched = null;
@@ -46,6 +46,7 @@ function begin() {
   const made = Object.fromEntries(plants.map((each, index) => [index, new makers[each.kind](each)]));
   loop = new Loop(made, String(chosen.plant), newController(), [chosen.x, chosen.y]);
   pushed = -Infinity;
+  barEnd = 0;
   applied = "";
   apply();
 }
@@ -171,10 +172,10 @@ function prediction() {
 
 /* The correction by feedback, or the reason why there is none. */
 function feedbackText() {
-  const { feedback, added, description } = loop.controller, torque = loop.readings[loop.plant]?.torque;
+  const { feedback, added, description } = loop.controller;
   if (byHand() || chosen.feedback === "none" || added === null) return "";
   if (chosen.feedback === "torque" && description.feedback.family === null) return "Feedback from torque requires a family of fins (softfin family).";
-  if (chosen.feedback === "torque" && torque === undefined) return "A surrogate does not predict the torque.";
+  if (chosen.feedback === "torque" && loop.plants[loop.plant].power === "") return "This surrogate does not predict the torque.";
   const adds = `Feedback adds ${forceText(added)}`;
   if (description.feedback.family === null) return `${adds}.`;
   return `${adds}; ${feedback.level > UNFAMILIAR ? "the fin is outside the family, so feedback relies on the mean force" : "the fin is within the family"}.`;
@@ -194,6 +195,7 @@ function tell(predicted) {
     show("half", predicted ? predicted.half : none);
     element("distance").textContent = predicted ? `${Math.floor(100 * predicted.familiar)}% of the time` : "\u2013";
   }
+  tellPower();
   element("time").textContent = `${seconds(loop.time)} s`;
   element("cell").textContent = controller.cells.length > 1 && controller.tracked !== null ? `policy ${controller.step.activeCell + 1} of ${controller.cells.length} acts` : "";
   const estimate = controller.feedback && controller.added ? controller.feedback.estimate() : { mean: none, half: none };
@@ -208,6 +210,17 @@ function tell(predicted) {
   const status = byHand() ? moved : near + (held ? `${force} held within ${short(SETTLED_N)} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
+}
+
+/* The mean power, its force per watt, and a bar whose end only grows, so that strokes can be compared. */
+function tellPower() {
+  const kind = loop.plants[loop.plant].power, power = loop.power(), known = Number.isFinite(power);
+  element("power-row").hidden = kind === "";
+  if (known) barEnd = Math.max(barEnd, stepOf(0, Math.max(power, 0.01 * finSize), 1));
+  element("power-kind").textContent = kind;
+  element("power-end").textContent = barEnd ? `${short(barEnd)} W` : "";
+  element("power").textContent = known ? `${numeral(power, decimals)} W, ${forcePerWatt(Math.hypot(...loop.mean()), power)}` : "\u2013";
+  element("power-bar").style.setProperty("--part", `${known ? clip((100 * power) / barEnd, 0, 100) : 0}%`);
 }
 
 function draw() {

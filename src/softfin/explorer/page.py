@@ -18,6 +18,7 @@ SIMULATION = (
     "profile",
     "surrogate",
     "tank",
+    "power",
     "region",
     "feedback",
     "controllers",

@@ -68,7 +68,7 @@ class FollowingNet {
   }
 }
 
-/* The force network: motion in, force (x, y) [N] out. */
+/* The force network: motion in, force (x, y) [N] and torque on the fin [N m] out; the torque is NaN without its coefficients. */
 class ForceNet {
   constructor(pick, scales, rest) {
     this.core = new MirrorCore((name) => pick(`core.${name}`));
@@ -76,6 +76,7 @@ class ForceNet {
     this.across = pick("across");
     this.kept = pick("log_time").values.map((time) => Math.exp(-TICK_S * Math.exp(-time)));
     for (const name of ["thrust", "resistance", "mount_turn", "offset"]) this[name] = pick(name).values;
+    this.torque = pick("torque")?.values;
     this.scales = scales;
     this.memory = { even: rest("memory.even"), odd: rest("memory.odd") };
     this.wake = { even: rest("wake.even"), odd: rest("wake.odd") };
@@ -96,7 +97,10 @@ class ForceNet {
       for (let k = 0; k < wake.even.length; k++) wake[parity][k] = this.kept[k] * wake[parity][k] + (1 - this.kept[k]) * pushed[parity][k];
     }
     this.motion = motion;
-    return force.map((value, axis) => scales.force_n * (value + this.offset[axis]));
+    return {
+      force: force.map((value, axis) => scales.force_n * (value + this.offset[axis])),
+      torque: this.torque ? dot(this.torque, joined(this.memory.odd, wake.odd, [velocity, change, drag])) : NaN,
+    };
   }
 
   remembered() {
@@ -113,22 +117,23 @@ class StreamingSurrogate {
     this.whitening = arrays["familiarity.whitening"];
     this.members = Array.from({ length: description.members }, (_, index) => {
       const net = (Net, name) => new Net(
-        (place) => part(arrays[`members.${name}.${place}`], index), description.scales,
+        (place) => arrays[`members.${name}.${place}`] && part(arrays[`members.${name}.${place}`], index), description.scales,
         (place) => part(arrays[`rest.${name}.${place}`], index).values.slice());
       return { drive: net(FollowingNet, "drive"), force: net(ForceNet, "force") };
     });
+    this.power = this.members[0].force.torque ? "mechanical" : "";
   }
 
-  /* Hold a command for a tick; returns {angle, velocity, force} and the force of every member, `forces`. */
+  /* Hold a command for a tick; returns {angle, velocity, force, torque} and the force of every member, `forces`. */
   tick(command) {
     const readings = this.members.map((member) => {
       const motion = member.drive.step(command);
-      return { ...motion, force: member.force.step(motion) };
+      return { ...motion, ...member.force.step(motion) };
     });
     const mean = (of) => readings.reduce((sum, reading) => sum + of(reading), 0) / readings.length;
     return {
       angle: mean((r) => r.angle), velocity: mean((r) => r.velocity), force: [mean((r) => r.force[0]), mean((r) => r.force[1])],
-      forces: readings.map((r) => r.force),
+      torque: mean((r) => r.torque), forces: readings.map((r) => r.force),
     };
   }
 

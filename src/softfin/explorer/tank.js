@@ -297,6 +297,8 @@ class Water {
 class Tank {
   constructor(description) {
     this.description = description;
+    this.power = "electrical";
+    this.motor = description.motor;
     this.drive = new Drive(description.drive, description.rest_rad);
     this.fin = new Fin(description.fin, description.rest_rad);
     this.water = new Water(description.water);

@@ -24,6 +24,7 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from scipy.interpolate import RegularGridInterpolator
 
 from softfin.core.configuration import Configuration
+from softfin.core.operations import jax_operations
 from softfin.core.plant import Plant, has_torque
 from softfin.core.quantities import AnyArray
 from softfin.core.randomness import named_key
@@ -304,7 +305,8 @@ def _stepped(
 
     def along(force: NodeForces) -> PreTanh:
         """Return the smallest step that changes the force by the given amount."""
-        return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
+        share, _ = jax.vmap(jax_operations().solve)(gram, force[..., None])
+        return jnp.einsum("nij,ni->nj", across, share[..., 0])
 
     wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
     if not exact:

@@ -31,7 +31,11 @@ class Recording:
     def at(self, tick):
         return START_NS + tick * 10_000_000
 
-    def chunk(self, ticks, force=(1.0, -0.5), reference=None, event=None, estimate=None):
+    def chunk(
+        self, ticks, force=(1.0, -0.5), reference=None, event=None, estimate=None, load=(0.1, 0.25)
+    ):
+        """`load` is the velocity [rad/s] and the torque about the shaft [N m], or a function of the
+        tick."""
         if reference is not None:
             self.bag.write(REFERENCE, self.at(self.tick), (*reference, 0.0, 0.0, 0.0, 0.0))
         if event is not None:
@@ -45,9 +49,10 @@ class Recording:
                 self.bag.write(LEVEL, now, (level,))
             if self.tick % 33 == 0:
                 self.bag.write(COMMAND, now, (0.5, 2.0))
-            self.bag.write(JOINT, now, (0.001 * self.tick, 0.1))
+            velocity, torque = load(self.tick) if callable(load) else load
+            self.bag.write(JOINT, now, (0.001 * self.tick, velocity))
             self.bag.write(CURRENT, now, (0.25,))
-            self.bag.write(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.25))
+            self.bag.write(WRENCH, now, (*force, 0.0, 0.0, 0.0, torque))
             self.tick += 1
         self.bag.flush()
         self.ends.append(len(self.stream.getvalue()))
