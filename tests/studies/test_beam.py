@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from studies import beam
 from studies.beam import CASES, GRAVITY_M_S2, LOAD_HEIGHT_M, SHEAR_FACTOR, SIZES, STEP_S
 
 from softfin.core.errors import LogError
 from softfin.tank import chain
 from softfin.tank.fin import FinConfig
+from studies import beam
 
 MODULUS_PA = 3e5
 POSITIONS = np.arange(3 * 2 * 3).reshape(3, 2, 3) / 8
