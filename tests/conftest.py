@@ -66,6 +66,10 @@ PUBLISHED = Path(
     os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published")
 )
 
+MEASURED = Path(
+    os.environ.get("SOFTFIN_MEASURED", Path(__file__).parents[2] / "shared" / "measured")
+)
+
 
 PROGRAMS_BYTES = 2**30
 """Size of the cache of programs above which the oldest are deleted, before any test."""
@@ -125,3 +129,12 @@ def published() -> Path:
         )
         needs.give_up("published", reason)
     return PUBLISHED
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """The folder of measurements by others, which are not part of softfin."""
+    if not (MEASURED / "beam").is_dir():
+        reason = f"no measurements at {MEASURED}; set SOFTFIN_MEASURED to the folder with beam/"
+        needs.give_up("measured", reason)
+    return MEASURED

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-NAMES = ("chromium", "cyclonedds", "node", "published", "ray")
+NAMES = ("chromium", "cyclonedds", "measured", "node", "published", "ray")
 
 
 def required() -> frozenset[str]:
