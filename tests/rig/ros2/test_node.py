@@ -132,8 +132,16 @@ def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robo
     config = NodeConfig.of_fin("ucat/front_left")
     assert {value for name, value in config if name.endswith("_topic")} == {
         f"/ucat/front_left/{name}"
-        for name in ("joint_states", "wrench", "command", "reference", "stop")
-    }
+        for name in (
+            "joint_states",
+            "wrench",
+            "command",
+            "reference",
+            "stop",
+            "stop_reason",
+            "current",
+        )
+    } | {"/diagnostics"}
     assert config.connection.node == "ucat_front_left"
     assert config.reference_lost == "stop"
 

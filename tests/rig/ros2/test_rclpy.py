@@ -45,7 +45,8 @@ class Rclpy:
             "rclpy.duration": types.SimpleNamespace(Duration=lambda seconds: f"{seconds} s"),
             "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
             "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
-            "std_msgs.msg": types.SimpleNamespace(Bool="Bool"),
+            "std_msgs.msg": types.SimpleNamespace(Bool="Bool", Float64="Float64", String="String"),
+            "diagnostic_msgs.msg": types.SimpleNamespace(DiagnosticArray="DiagnosticArray"),
         }
         for name, fields in names.items():
             module = types.ModuleType(name)
@@ -68,6 +69,7 @@ class Rclpy:
 
     def create_node(self, name, *, context):
         self.calls.append(("create_node", name, context))
+        self.name = name
         return self
 
     def executor(self, *, context):
@@ -100,10 +102,20 @@ class Rclpy:
 
         return types.SimpleNamespace(publish=publish, get_subscription_count=lambda: 3)
 
-    def create_subscription(self, kind, topic, callback, quality, *, raw):
+    def get_fully_qualified_name(self):
+        return f"/{self.name}"
+
+    def create_subscription(self, kind, topic, callback, quality, *, raw, callback_group):
         assert raw
+        assert callback_group is None
         self.calls.append(("create_subscription", kind, topic, quality))
         self.subscriptions[topic] = callback
+
+    def destroy_publisher(self, publisher):
+        self.calls.append(("destroy_publisher",))
+
+    def destroy_subscription(self, subscription):
+        self.calls.append(("destroy_subscription",))
 
     def get_publishers_info_by_topic(self, topic):
         names = {
