@@ -4,7 +4,6 @@ The emulated rig starts, its drive and force zero are checked as on a real rig, 
 the fin starts and moves. Write a controller first: softfin example example
 """
 
-from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
@@ -15,6 +14,8 @@ from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
 
 SHARE = FindPackageShare("softfin_ros")
 RIG = "emulated_rig.yaml"

@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 from softfin.core.errors import RigError, SoftfinError
 from softfin.rig.ros2.rclpy import NodeTransport
 from softfin.rig.stop import SIGNAL_CHECK_S
-from softfin.stages.managed_fin import FinParameters, ManagedFin
 from softfin_ros import parameters
+from softfin_ros.managed_fin import FinParameters, ManagedFin
 
 TOPICS = ("joint_states", "wrench", "command", "reference", "stop", "stop_reason", "current")
 FIELDS = {"joint_states_topic": "joint_topic"}

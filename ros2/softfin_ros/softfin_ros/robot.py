@@ -14,6 +14,7 @@ from softfin.robot.description import load_robot
 from softfin.robot.node_config import RobotNodeConfig
 from softfin.stages.robot import run_robot
 from softfin_ros import parameters
+from softfin_ros.mounts import TF_MESSAGE, TF_STATIC_TOPIC, encode_mounts
 
 TOPICS = ("reference", "wrench", "saturated", "stop")
 
@@ -42,7 +43,11 @@ def main() -> int:
     try:
         values = parameters.read(node, FIELDS) | parameters.resolve(node, TOPICS)
         settings = RobotNodeConfig.build(values | {"max_thrust": max_thrust or None}, "parameters")
-        run_robot(NodeTransport(node), load_robot(robot), settings)
+        body = load_robot(robot)
+        transport = NodeTransport(node)
+        mounts = transport.publish(TF_STATIC_TOPIC, TF_MESSAGE, latched=True)
+        mounts.send(encode_mounts(body, settings.vehicle_frame_id))
+        run_robot(transport, body, settings)
     except SoftfinError as error:
         node.get_logger().error(str(error))
         return FIN_STOPPED if isinstance(error, SafetyStop) else 1

@@ -63,23 +63,6 @@ class FinMountConfig(Configuration):
         # A positive angle turns thrust from +x towards -y.
         return np.stack([x, np.cross(x, shaft)], axis=1)
 
-    def quaternion(self) -> list[float]:
-        """Return the rotation from the frame of the fin to body axes as x, y, z, w; the z axis of
-        the fin points against its shaft."""
-        forward, sideways = self.axes().T
-        turn = np.stack([forward, sideways, np.cross(forward, sideways)], axis=1)
-        # Bar-Itzhack's method: the eigenvector of the largest eigenvalue of this matrix is the
-        # quaternion. Unlike the formulas with the trace, it has no special cases.
-        antisymmetric = turn - turn.T
-        axis = np.array([antisymmetric[2, 1], antisymmetric[0, 2], antisymmetric[1, 0]])
-        matrix = np.zeros((4, 4))
-        matrix[:3, :3] = turn + turn.T - np.trace(turn) * np.eye(3)
-        matrix[:3, 3] = axis
-        matrix[3, :3] = axis
-        matrix[3, 3] = np.trace(turn)
-        quaternion: list[float] = np.linalg.eigh(matrix)[1][:, -1].tolist()
-        return quaternion
-
 
 class AllocationConfig(Configuration):
     """Allocation of a wrench to the fins."""

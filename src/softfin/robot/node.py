@@ -15,7 +15,7 @@ from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.rig.machine import Wrench
 from softfin.rig.pace import Pace
-from softfin.rig.ros2.config import NodeConfig, check_names, fin_topics
+from softfin.rig.ros2.config import check_names, fin_topics
 from softfin.rig.ros2.connection import (
     BOOL,
     Publisher,
@@ -37,9 +37,6 @@ powers off within one or two seconds."""
 
 QUIET_S = 0.5
 """Time without messages after which a fin that received a stop is treated as stopped [s]."""
-
-TF_STATIC_TOPIC = "/tf_static"
-TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 
 WRENCH_LIMIT = 1e6
 """Magnitude above which a wrench is rejected as invalid [N, N m]."""
@@ -103,7 +100,6 @@ class RobotNode:
         self._clock = clock
         self._once = OnceReporter(report)
         self.fins = [FinTopics(transport, name, config.fin_prefix) for name in robot.fins]
-        self._mounts = transport.publish(TF_STATIC_TOPIC, TF_MESSAGE, latched=True)
         self._achieved = transport.publish(config.wrench_topic, WRENCH_STAMPED)
         self._saturated = transport.publish(config.saturated_topic, BOOL)
         wrenches = Subscription(
@@ -111,7 +107,6 @@ class RobotNode:
         )
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
         self._stop = EmergencyStop(transport, config.stop_topic, self._once)
-        self._send(self._mounts, encode_mounts(robot, config.vehicle_frame_id))
 
     def run(self, request: StopRequest) -> None:
         """Wait for the fins, then send references until a stop; always send a stop to every fin at
@@ -274,21 +269,6 @@ class RobotNode:
         if max(map(abs, wrench)) > WRENCH_LIMIT:
             raise ValueError(f"a component exceeds {WRENCH_LIMIT:g} N or N m")
         return wrench
-
-
-def encode_mounts(robot: RobotConfig, vehicle_frame_id: str) -> bytes:
-    """Return the transforms from the frames of the fin nodes to the frame of the vehicle, as
-    tf2_msgs/TFMessage."""
-    fields: dict[str, object] = {}
-    for index, (name, mount) in enumerate(robot.fins.items()):
-        path = f"transforms.{index}"
-        fields[f"{path}.header.frame_id"] = vehicle_frame_id
-        fields[f"{path}.child_frame_id"] = NodeConfig.of_fin(name).frame
-        for axis, value in zip("xyz", mount.position_m, strict=True):
-            fields[f"{path}.transform.translation.{axis}"] = value
-        for axis, value in zip("xyzw", mount.quaternion(), strict=True):
-            fields[f"{path}.transform.rotation.{axis}"] = value
-    return serialized(TF_MESSAGE, fields)
 
 
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:

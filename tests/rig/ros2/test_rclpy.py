@@ -13,6 +13,7 @@ from softfin.rig.ros2.connection import BOOL, Transport
 from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import open_transport
+from softfin.rig.ros2.rclpy import NodeTransport
 from tests.patience import HANG_S, wait_until
 from tests.rig.ros2_memory import JOINT, WRENCH
 
@@ -191,6 +192,24 @@ def test_a_command_topic_offers_its_deadline_and_that_only_messages_keep_it_aliv
         "liveliness_lease_duration": "0.2 s",
     }
     assert ("create_publisher", "JointState", "/command", offered) in rclpy.calls
+
+
+def test_a_latched_topic_keeps_its_last_message_for_later_readers(rclpy, transport):
+    transport.publish("/ours", JOINT, latched=True)
+    offered = {"depth": 1, "reliability": "reliable", "durability": "transient local"}
+    assert ("create_publisher", "JointState", "/ours", offered) in rclpy.calls
+
+
+def test_a_transport_over_a_node_of_others_destroys_only_what_it_made(rclpy):
+    rclpy.name = "tail"
+    transport = NodeTransport(rclpy)
+    for _ in range(2):
+        transport.publish("/command", JOINT)
+        transport.subscribe("/stop", BOOL)
+        assert transport.publishers("/command") == ["/teleop"]
+        rclpy.calls.clear()
+        transport.close()
+        assert sorted(rclpy.calls) == [("destroy_publisher",), ("destroy_subscription",)]
 
 
 def test_an_emergency_stop_has_a_reader_for_every_kind_of_publisher(rclpy, transport):

@@ -1,5 +1,5 @@
-"""A fin node with a life cycle, for the package in ros2/: it moves only while it is active, and can
-be stopped, zeroed and reset from other threads. Does not import rclpy."""
+"""A fin with a life cycle: it moves only while it is active, and can be stopped, zeroed and reset
+from other threads. Does not import rclpy."""
 
 import threading
 import time
@@ -23,8 +23,7 @@ from softfin.stages.driving import Drive, NodeDrive
 
 
 class FinParameters(Configuration):
-    """Parameters of the node `fin` of the package in ros2/; ROS 2 has no None, so 0 and empty texts
-    replace it."""
+    """Parameters of the node; ROS 2 has no None, so 0 and empty texts replace it."""
 
     controller: str = ""
     """Controller folder."""
@@ -136,12 +135,12 @@ class ManagedFin:
         with self._changed:
             if self.state == "stopped":
                 raise RigError(f"{self.reason}; call the service ~/reset first")
-            self.reason = "the node has ended; start it again"
+            self.reason = ""
             self._is_wanted = not self._is_over
             self._changed.notify_all()
             self._changed.wait_for(lambda: self.state == "active" or not self._is_wanted)
             if self.state != "active":
-                raise RigError(self.reason)
+                raise RigError(self.reason or "the node has ended; start it again")
 
     def deactivate(self) -> None:
         """Brake and disable the motor, and close the devices."""

@@ -9,7 +9,7 @@ from softfin.rig.ros2.config import fin_topics
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.stop import Trip
 from softfin.stages import driving
-from softfin.stages.managed_fin import FinParameters
+from softfin_ros.managed_fin import FinParameters
 from tests.cli.test_ros2 import Controller, StillFin
 from tests.patience import HANG_S, wait_until
 from tests.rig.ros2_memory import MemoryTransport
@@ -73,8 +73,11 @@ def test_an_active_fin_moves_until_it_is_deactivated_and_may_be_activated_again(
         assert fin.reason == ""
         assert there.machine.stops >= count
         reads = there.machine.reads
-        sent = len(there.transport.sent["/tail/joint_states"])
-        assert sent == reads
+        diagnosed = len(there.transport.sent["/diagnostics"])
+        wait_until(
+            lambda diagnosed=diagnosed: len(there.transport.sent["/diagnostics"]) > diagnosed
+        )
+        assert there.machine.reads == reads, "no device is open"
     assert reasons(there)[-1] == ""
     assert all(path.name.startswith("tail-") for path in tmp_path.iterdir())
 
