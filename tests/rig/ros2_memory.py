@@ -81,6 +81,7 @@ class MemoryTransport:
         self.sent_at = defaultdict(list)
         self.waiting = defaultdict(list)
         self.asked = defaultdict(list)
+        self.latched = {}
         self.deadlines = {}
         self.mismatched = defaultdict(int)
         self.readers = defaultdict(lambda: 1)
@@ -89,7 +90,8 @@ class MemoryTransport:
         self.closed = False
         self.failing = False
 
-    def publish(self, topic, kind, deadline_s=None):
+    def publish(self, topic, kind, deadline_s=None, latched=False):
+        self.latched[topic] = latched
         self.deadlines[topic] = deadline_s
 
         def send(data):
