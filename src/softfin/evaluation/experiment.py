@@ -8,6 +8,7 @@ program, which records every tick of 10 ms.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
@@ -130,9 +131,10 @@ def run_together(
     plant: EvaluationTarget,
     experiments: Sequence[tuple[AnyArray, int]],
     keys: Key[Array, "seeds"],
+    program: "Program | None" = None,
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration [s]; on a simulated plant, one
-    program runs all sets."""
+    program runs all sets (default: `run_compiled`)."""
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
@@ -153,7 +155,7 @@ def run_together(
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
     parties = (controller, plant)
-    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
+    recorded = (program or run_compiled)(parties, jnp.asarray(np.concatenate(observed)), keys)
     # Each set gets its own rows and ticks of the results.
     first = 0
     recordings = []
@@ -243,17 +245,12 @@ def closed_loop(
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
         state, (reading, torque, output) = hold(state, command, ticks)
-        measured = _measured(reading, torque, ticks)
+        measured = measure(reading, torque, ticks)
         held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
         return (memory, state, measured), ((held, reading, output), estimate(memory))
 
-    # The first action is computed before the first reading, as if the fin were at rest.
     state = plant.init(key)
-    shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
-    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    rest = _measured(reading, torque, 1)
-    rest = rest._replace(angle=jnp.float32(plant.limits.rest_angle))
-    carry = (controller.init(), state, rest)
+    carry = (controller.init(), state, measure_at_rest(plant, state, hold))
     _, (kept, estimates) = jax.lax.scan(
         action, carry, (references, jnp.asarray(clock.action_ticks(actions)))
     )
@@ -261,7 +258,18 @@ def closed_loop(
     return LoopRecording(command, reading, output, estimates)
 
 
-def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
+def measure_at_rest(
+    plant: Plant, state: State, hold: Callable[[State, Command, Ticks], Held]
+) -> Measured:
+    """Return the measurements for the first action, which is computed before the first reading, as
+    if the fin were at rest."""
+    shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
+    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    rest = measure(reading, torque, 1)
+    return rest._replace(angle=jnp.float32(plant.limits.rest_angle))
+
+
+def measure(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
     """Return the measurements for a controller after an action: the last angle, and means."""
     # Readings are padded to the longest action, so use the last valid angle and average only over
     # the valid forces.
@@ -279,17 +287,29 @@ def simulate(
     """Run a controller on a plant from rest, like `closed_loop`; the output is what the plant knows
     besides its readings (`Hidden`)."""
     clock = controller_clock(controller)
+    return closed_loop(controller, plant, partial(hold_once, plant, clock), references, key, clock)
 
-    def hold(state: State, command: Command, ticks: Ticks) -> Held:
-        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
-        state, (reading, hidden) = held
-        return state, (reading, hidden.torque, hidden)
 
-    return closed_loop(controller, plant, hold, references, key, clock)
+def hold_once(
+    plant: Plant, clock: ActionClock, state: State, command: Command, ticks: Ticks
+) -> Held:
+    """Hold a command on a plant for an action; the extra output is `Hidden`."""
+    state, (reading, hidden) = hold_action_with_hidden(
+        plant, state, command, ticks, clock.max_ticks
+    )
+    return state, (reading, hidden.torque, hidden)
+
+
+Program: TypeAlias = Callable[
+    [tuple[Controller, Plant], Float[Array, "references actions 2"], Key[Array, "seeds"]],
+    LoopRecording,
+]
+"""Runs every series of references with every key; fields ``(references, seeds, ...)``, and the true
+force and the power as output."""
 
 
 @jit("low")
-def _program(
+def run_compiled(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
@@ -299,13 +319,17 @@ def _program(
     controller, plant = parties
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
-        run = simulate(controller, plant, asked, key)
-        torque = run.output.torque
-        power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
-        return run._replace(output=(run.output.true_force, power))
+        return add_power(simulate(controller, plant, asked, key))
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )
     return each
+
+
+def add_power(run: LoopRecording) -> LoopRecording:
+    """Replace the output of one run, which is `Hidden`, by the true force and the power."""
+    torque = run.output.torque
+    power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
+    return run._replace(output=(run.output.true_force, power))
