@@ -17,11 +17,9 @@ from typing import TypedDict
 
 import numpy as np
 from jaxtyping import Complex, Float
-from matplotlib.figure import Figure
 
 from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.core.window import moving_average
-from softfin.storage.figures import BLUE, GREY, ORANGE, new_figure, styled
 
 MIN_WINDOW_GAIN = 0.02
 """Gain of the window below which the response of the force is not computed."""
@@ -104,28 +102,3 @@ def _fit(
     fitted = np.linalg.lstsq(basis, signal)[0]
     remainder_n = float(np.sqrt((abs(signal - basis @ fitted) ** 2).mean()))
     return complex(fitted[1]), complex(fitted[2]), remainder_n
-
-
-def response_figure(motions: dict[str, list[ResponseRow]]) -> Figure:
-    """Draw the gain of the mean force, and the phase of the force without the averaging."""
-    with styled():
-        figure = new_figure(6.6, 2.8)
-        gain, phase = figure.subplots(1, 2)
-        for (name, rows), colour in zip(motions.items(), (BLUE, ORANGE), strict=True):
-            rates = [row["rate_hz"] for row in rows]
-            gain.plot(rates, [row["gain"] for row in rows], "o-", color=colour, label=name)
-            known = [
-                (row["rate_hz"], row["force_phase_deg"])
-                for row in rows
-                if row["force_phase_deg"] is not None
-            ]
-            lags = np.unwrap([degrees for _, degrees in known], period=360)
-            phase.plot([rate for rate, _ in known], lags, "o-", color=colour)
-        window_gain = [row["window_gain"] for row in rows]
-        gain.plot(rates, window_gain, "--", color=GREY, label="window alone")
-        gain.set(ylabel="gain of the mean force [-]", ylim=(0, None))
-        phase.set(ylabel="phase of the force [deg]")
-        for axes in (gain, phase):
-            axes.set(xscale="log", xlabel="rate of the reference [Hz]")
-        gain.legend()
-    return figure

@@ -61,8 +61,6 @@ def benchmark(
         artifacts.find_description(Path(controller), "controller")
     from softfin.control.controller import controller_clock
     from softfin.evaluation.benchmark import PROTOCOL_VERSION, BenchmarkProtocol, run_benchmark
-    from softfin.evaluation.frequency_response import response_figure
-    from softfin.storage.figures import save_figure
     from softfin.tank import Tank
 
     protocol = configure(BenchmarkProtocol(), config)
@@ -94,10 +92,13 @@ def benchmark(
     }
     summary = artifacts.plain(summary)
     if out is not None:
+        # Imported here because importing Matplotlib takes a second and is needed only for drawing.
+        from softfin.evaluation.figures import response_figure
+        from softfin.storage.figures import save_figure
 
         def write(folder: Path) -> None:
             artifacts.write_description(folder, "benchmark", summary)
-            frequency = summary["cases"]["frequency"]
+            frequency = summary["cases"].get("frequency", {})
             if "turn" in frequency:
                 motions = {name: frequency[name] for name in ("turn", "pulse")}
                 save_figure(response_figure(motions), folder / "frequency_response.png")

@@ -176,20 +176,20 @@ def benchmark_table(summary: JsonObject) -> str:
     powers = ("power W", "N/W") if kind else ()
     rows: list[list[object]] = [[title, *TABLE_TWO_TITLES, *powers, "settles in"]]
     rows.append(["  six references", *_scores(cases["references"]["mean"], decimals, kind)])
-    for row in cases["perturbed"].get("rows", ()):
+    for row in cases.get("perturbed", {}).get("rows", ()):
         title = f"  tanks perturbed by {row['width']:.0%}"
         rows.append([title, *_scores(row, decimals, kind)])
     for name in ("steps", "turns"):
-        for row in cases["moving"].get(name, {}).get("rows", ()):
+        for row in cases.get("moving", {}).get(name, {}).get("rows", ()):
             cells = _scores(row, decimals, kind)
             rows.append([f"  {row['described']}", *cells, settling_time(row)])
     rows.append(["fin that changes", "x rms", "", "y rms"])
-    for row in cases["changed"].get("rows", ()):
+    for row in cases.get("changed", {}).get("rows", ()):
         x, y = (f"{rms_n:.{decimals}f}" for rms_n in row["rms_n"])
         after = f"  {row['after_s']} s after" if row["after_s"] else "  before"
         rows.append([after, x, "", y])
     rows.append(["frequency response", "turn gain", "phase", "pulse gain", "phase", "window gain"])
-    responses = (cases["frequency"].get(name, ()) for name in ("turn", "pulse"))
+    responses = (cases.get("frequency", {}).get(name, ()) for name in ("turn", "pulse"))
     for pair in zip(*responses, strict=True):
         cells = [f"  {pair[0]['rate_hz']:g} Hz"]
         for row in pair:

@@ -10,7 +10,7 @@ these columns, but start at 0.01 s, so a first row up to one tick late applies f
 """
 
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -93,6 +93,7 @@ class Recorded(Configuration):
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
 
 
+@runtime_checkable
 class Signal(Protocol):
     """A moving reference."""
 
