@@ -30,34 +30,12 @@ from softfin.tank.changing import ChangingTank
 from softfin.tank.fin import FinConfig
 from softfin.tank.randomization import with_parameters
 from softfin.task.references import PAPER_CELLS
-from tests.staged import COARSE
+from tests.documents import blocks
+from tests.staged import BENCHMARK, COARSE
 
 GAITS = Path(softfin.__file__).parent / "example" / "gaits"
 
-TINY = {
-    "seconds": 4,
-    "seeds": 1,
-    "widths": [0.3],
-    "tanks": 2,
-    "change_s": 4,
-    "rates_hz": [0.4],
-    "rate_seconds": 5,
-    "rate_settle_s": 2,
-}
-
 TANK = Tank(TankConfig(fin=FinConfig(plates=2), steps_per_tick=4))
-
-
-class Swinging:
-    """A policy that swings between two sides. As with a model of stable-baselines3, its memory is
-    None at first."""
-
-    def predict(self, observation, state, episode_start, deterministic):
-        assert observation.shape == (1, 11)
-        assert deterministic
-        assert episode_start.all() == (state is None)
-        side = np.ones(1) if state is None else -state
-        return np.stack([0.6 * side, np.full(1, 0.2)], axis=1), side
 
 
 class Plain:
@@ -88,7 +66,7 @@ class OneCell(Plain):
 def files(tmp_path):
     """Options of a tiny benchmark."""
     (tmp_path / "tank.yaml").write_text(yaml.safe_dump(COARSE))
-    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(TINY))
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(BENCHMARK))
     return ("--plant", str(tmp_path / "tank.yaml"), "--config", str(tmp_path / "tiny.yaml"))
 
 
@@ -105,7 +83,7 @@ def check_cases(summary):
     assert len(cases["moving"]["steps"]["rows"]) == 4
     assert len(cases["moving"]["turns"]["rows"]) == 2
     (perturbed,) = cases["perturbed"]["rows"]
-    assert len(perturbed["x"]["error_seeds_n"]) == TINY["tanks"]
+    assert len(perturbed["x"]["error_seeds_n"]) == BENCHMARK["tanks"]
     assert perturbed["worst_tank_n"][0] == pytest.approx(max(perturbed["x"]["error_seeds_n"]))
     assert [row["after_s"] for row in cases["changed"]["rows"]] == [0, 4]
     for motion in ("turn", "pulse"):
@@ -140,18 +118,27 @@ def test_feedback_is_added_to_a_controller(files, capsys, monkeypatch):
     assert summary["conditions"]["kind"] == "gaits with feedback"
 
 
-@pytest.mark.parametrize("name", ["Swinging", "Plain"])
-def test_a_policy_and_a_plain_controller_are_entered_by_name(files, capsys, name):
-    main(["benchmark", f"tests.evaluation.test_benchmark:{name}", *files, "--json"])
+def test_a_controller_in_plain_python_is_entered_by_name(files, capsys):
+    main(["benchmark", "tests.evaluation.test_benchmark:Plain", *files, "--json"])
     summary = json.loads(capsys.readouterr().out)
     check_cases(summary)
     # It ignores the reference, so its force does not follow.
-    assert summary["cases"]["references"]["mean"]["x"]["error_n"] > 0.3
-    assert summary["conditions"]["kind"] == ("policy" if name == "Swinging" else name)
+    assert all(row["gain"] < 0.2 for row in summary["cases"]["frequency"]["turn"])
+    assert summary["conditions"]["kind"] == "Plain"
+
+
+def test_the_policy_of_the_document_passes_every_case(files, capsys, tmp_path, monkeypatch):
+    (code,) = (block.text for block in blocks() if "class Swing" in block.text)
+    (tmp_path / "entry.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    main(["benchmark", "entry:policy", *files, "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    check_cases(summary)
+    assert summary["conditions"]["kind"] == "policy"
 
 
 def test_an_object_is_entered_in_python_and_uncovered_forces_are_reported(monkeypatch):
-    protocol = BenchmarkProtocol.build(TINY)
+    protocol = BenchmarkProtocol.build(BENCHMARK)
     kept = {name: CASES[name] for name in ("references", "moving")}
     monkeypatch.setattr("softfin.evaluation.benchmark.CASES", kept)
     scores = run_benchmark(OneCell(), TANK, protocol)
@@ -185,7 +172,7 @@ def test_a_tank_changes_at_its_time():
     assert not np.allclose(run(after, late), run(TANK, late), rtol=1e-2)
 
 
-class Far(Swinging):
+class Far:
     def predict(self, observation, state, episode_start, deterministic):
         return np.full((1, 2), 1.5), None
 
@@ -218,7 +205,7 @@ def test_a_command_outside_the_limits_is_refused():
     [
         (["nowhere"], "nowhere: no such folder"),
         (["nowhere:name"], "nowhere:name: ModuleNotFoundError"),
-        (["tests.evaluation.test_benchmark:TINY"], "a dict is neither a controller"),
+        (["tests.evaluation.test_benchmark:BENCHMARK"], "a dict is neither a controller"),
         ([str(GAITS), "--plant", "tests.plants:AnalyticFin"], "must be tank or a tank YAML file"),
         ([str(GAITS), "--seconds", "1"], "seconds = 1: "),
         ([str(GAITS), "--references", "[[1, 0]]"], "references: 1; use six"),
