@@ -16,7 +16,7 @@ from softfin.core.plant import Plant
 from softfin.core.quantities import Limits
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording, run_together
-from softfin.evaluation.lock_step import PolicyController, run_in_python
+from softfin.evaluation.predict import PolicyController
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.installation import how_to_add
 from softfin.task.task import TaskConfig
@@ -44,7 +44,7 @@ def run_recurrent(
     that it learnt in."""
     experiments = [(np.asarray(config.references, np.float32), config.seconds)]
     controller = PolicyController(model, limits, task)
-    return run_together(controller, plant, experiments, config.keys(), run_in_python)[0]
+    return run_together(controller, plant, experiments, config.keys())[0]
 
 
 def evaluate_recurrent(plant: Plant, config: EvaluateConfig, steps: int) -> Evaluation:

@@ -1,56 +1,34 @@
 """The benchmark: a fixed protocol for any controller, in the virtual tank. Errors are those of the
 true force."""
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import NamedTuple
-
-import jax.numpy as jnp
 import numpy as np
 import pydantic
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
-from softfin.control.controller import Controller, controller_clock
-from softfin.control.references import (
-    controller_cells,
-    default_references,
-    reachable_set,
-    resolve_reference,
-)
+from softfin.control.controller import Controller
+from softfin.control.family import Family
+from softfin.control.feedback import Feedback, FeedbackConfig
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.core.errors import CoverageError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import RATE_HZ, AnyArray
-from softfin.core.randomness import named_key
+from softfin.core.quantities import RATE_HZ
 from softfin.core.window import moving_average
-from softfin.evaluation.experiment import (
-    MIN_SECONDS,
-    ExperimentRecording,
-    independent,
-    min_seconds,
-    run_together,
-)
-from softfin.evaluation.frequency_response import ResponseRow, response
-from softfin.evaluation.lock_step import choose_program
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
+from softfin.evaluation.experiment import MIN_SECONDS, run
+from softfin.evaluation.frequency_response import response
 from softfin.evaluation.moving_references import MovingPlan
-from softfin.evaluation.scores import mean_scores, score
-from softfin.gaits.reachable import ForceVector
+from softfin.gaits.reachable import Forces
 from softfin.tank.changing import ChangingTank
 from softfin.tank.randomization import DomainRandomization, RandomizedTank, with_parameters
 from softfin.tank.tank import Tank
-from softfin.task.signals import Pulsing, Signal, Turning, step
+from softfin.task.signals import Recorded, step
 
 PROTOCOL_VERSION = 1
 """Number of the default protocol; any change of its values or of a score increases it."""
 
 STEPS = ((2, 3), (0, 2), (1, 5), (3, 0))
 """Start and end of the steps, as indices of the six references."""
-
-
-TURN_DIRECTIONS = (1, -1)
-"""Counterclockwise and clockwise."""
 
 CHANGE_AFTER_S = (0, 4, 6, 10, 20, 30)
 """Times after the change of a fin at which windows end that are scored [s]; 0 is before it."""
@@ -97,190 +75,147 @@ class BenchmarkProtocol(Configuration):
                 f"references: {len(self.references)}; use six, because steps connect them, or none "
                 "for the default"
             )
+        if self.references and not np.ptp(self.references, axis=0).all():
+            raise ValueError("references: all have the same x or y; use references that differ")
         return self
 
 
-class _Entry(NamedTuple):
-    """A controller in a tank."""
-
-    controller: Controller
-    tank: Tank
-    protocol: BenchmarkProtocol
-    references: tuple[ForceVector, ...]
-    tracked: Float[np.ndarray, "references 2"]
-    """References, with unreachable ones replaced by the nearest reachable forces [N]."""
-    centre_n: ForceVector
-    """Centre of the references."""
-    radius_n: float
-    """Smaller half side of their bounding box."""
-
-    def keys(self, name: str, count: int) -> Key[Array, "keys"]:
-        seed = self.protocol.seed
-        return jnp.stack([named_key(seed, f"{name}/{index}") for index in range(count)])
-
-    def run(
-        self, plant: Plant, experiments: list[tuple[AnyArray, int]], keys: Key[Array, "keys"]
-    ) -> list[ExperimentRecording]:
-        program = choose_program(self.controller)
-        recordings = run_together(self.controller, plant, experiments, keys, program)
-        return [independent(recording) for recording in recordings]
-
-    def plan(self, name: str, signals: tuple[Signal, ...], seconds: int) -> MovingPlan:
-        return MovingPlan.of(name, self.controller, signals, seconds)
-
-
 def run_benchmark(
-    controller: Controller, tank: Tank, protocol: BenchmarkProtocol, progress: Progress = silent
+    controller: Controller,
+    tank: Tank,
+    protocol: BenchmarkProtocol,
+    feedback: FeedbackConfig | None = None,
+    family: Family | None = None,
+    progress: Progress = silent,
 ) -> JsonObject:
-    """Run all cases; returns their scores by name, with the references and the warnings.
+    """Run all cases and return their scores by name.
 
-    A case whose references the controller does not cover has the entry ``not_covered`` instead of
-    scores.
+    If the controller does not cover the references of a case, the case is ``{"not_covered":
+    reason}``.
 
     Raises:
         CoverageError: If the controller was not trained for one of the six references.
-        ConfigurationError: If the references are on a line, or the experiments are too short for
-            the clock of the controller.
+        ConfigurationError: If the experiments are too short for the clock of the controller.
     """
-    clock = controller_clock(controller)
-    if protocol.seconds < min_seconds(clock):
-        raise ConfigurationError(
-            f"seconds = {protocol.seconds}: too short for the clock of this controller ({clock}); "
-            f"use at least {min_seconds(clock)}"
-        )
-    references = protocol.references or default_references(
-        reachable_set(controller), controller_cells(controller)
+    config = EvaluateConfig(
+        references=protocol.references,
+        seconds=protocol.seconds,
+        seeds=protocol.seeds,
+        seed=protocol.seed,
+        feedback=feedback,
     )
-    resolved = [resolve_reference(controller, force, strict=False) for force in references]
-    low = np.min(references, axis=0)
-    high = np.max(references, axis=0)
-    radius_n = float((high - low).min() / 2)
-    if radius_n == 0:
-        raise ConfigurationError("references: all have the same x or y; use references that differ")
-    x, y = ((low + high) / 2).tolist()
-    tracked = np.array([force for force, _ in resolved], np.float32)
-    entry = _Entry(controller, tank, protocol, references, tracked, (x, y), radius_n)
-    cases: JsonObject = {}
-    for index, (name, case) in enumerate(CASES.items()):
-        progress("benchmark", index / len(CASES), name)
+    progress("benchmark", 0.0, "references")
+    constant = score_controller(controller, tank, config, family)
+    references = constant.config.references
+    tracked = np.asarray(constant.recording.reference)
+    cases: JsonObject = {"references": constant.summary()}
+
+    progress("benchmark", 0.2, "perturbed tanks")
+    in_tanks = config.model_copy(update={"seeds": protocol.tanks})
+    cases["perturbed"] = []
+    for width in protocol.widths:
+        perturbed = RandomizedTank(tank, DomainRandomization.of(width))
+        evaluation = score_controller(controller, perturbed, in_tanks, family)
+        cases["perturbed"].append({"width": width, **evaluation.summary()})
+
+    # The feedback is added only now, because `score_controller` adds it by itself.
+    if feedback is not None:
+        controller = Feedback(controller, feedback, family)
+    keys = config.keys()
+    progress("benchmark", 0.5, "a fin that changes")
+    start_s = protocol.change_s
+    after = with_parameters(tank, stiffness=protocol.change_stiffness, drag=protocol.change_drag)
+    changing = ChangingTank.between(tank, after, start_s, start_s)
+    recording = run(controller, changing, tracked, 2 * start_s, keys)
+    window = recording.clock.window_ticks
+    # (references, seeds, windows, 2)
+    error = moving_average(np.asarray(recording.force), window) - tracked[:, None, None]
+    cases["changed"] = [
+        {
+            "after_s": after_s,
+            "rms_n": np.sqrt(
+                (error[:, :, (start_s + after_s) * RATE_HZ - window] ** 2).mean(axis=(0, 1))
+            ),
+        }
+        for after_s in CHANGE_AFTER_S
+        if after_s <= start_s
+    ]
+
+    for share, name, case in ((0.7, "moving", _moving), (0.8, "frequency", _frequency)):
+        progress("benchmark", share, name)
         try:
-            cases[name] = case(entry)
+            cases[name] = case(controller, tank, protocol, np.array(references), keys)
         except CoverageError as error:
             cases[name] = {"not_covered": str(error)}
     progress("benchmark", 1.0, "")
-    return {
-        "references_n": references,
-        "tracked_references_n": tracked,
-        "centre_n": entry.centre_n,
-        "radius_n": radius_n,
-        "warnings": [warning for _, warning in resolved if warning is not None],
-        "cases": cases,
-    }
+    return cases
 
 
-def _constant(entry: _Entry) -> JsonObject:
-    """Run the six references."""
-    protocol = entry.protocol
-    keys = entry.keys("evaluate", protocol.seeds)
-    recording = entry.run(entry.tank, [(entry.tracked, protocol.seconds)], keys)[0]
-    scores = score(recording)
-    rows = [
-        {"reference_n": reference, **mean_scores(scores, index)}
-        for index, reference in enumerate(entry.references)
-    ]
-    return {"mean": mean_scores(scores), "rows": rows}
-
-
-def _moving(entry: _Entry) -> JsonObject:
-    """Run four steps, and one turn in both directions. There are as many experiments as in
-    `_constant`, so that both use the same compiled program."""
-    protocol = entry.protocol
+def _moving(
+    controller: Controller,
+    tank: Tank,
+    protocol: BenchmarkProtocol,
+    references: Forces,
+    keys: Key[Array, "seeds"],
+) -> JsonObject:
+    """Run four steps, and one turn in both directions. There are as many experiments as constant
+    references, so both use the same compiled program."""
     seconds = protocol.seconds
-    references = entry.references
-    steps = tuple(step(references[i], references[j], seconds / 2) for i, j in STEPS)
-    turns = tuple(Turning(entry.centre_n, entry.radius_n, way / seconds) for way in TURN_DIRECTIONS)
-    plans = [entry.plan("steps", steps, seconds), entry.plan("turns", turns, seconds)]
-    experiments: list[tuple[AnyArray, int]] = [(plan.tracked, seconds) for plan in plans]
-    keys = entry.keys("evaluate", protocol.seeds)
-    recordings = entry.run(entry.tank, experiments, keys)
-    found: JsonObject = {"warnings": [warning for plan in plans for warning in plan.warnings]}
-    for plan, recording in zip(plans, recordings, strict=True):
-        scored = plan.score(recording)
-        found[plan.name] = {"mean": mean_scores(scored.scores), "rows": scored.rows()}
-    return found
+    centre, radius_n = _circle(references)
+    x, y = radius_n * np.eye(2)
+    steps = [step(tuple(references[i]), tuple(references[j]), seconds / 2) for i, j in STEPS]
+    turns = [_orbit(centre, x, way * y, 1 / seconds, seconds) for way in (1, -1)]
+    plan = MovingPlan.of("moving", controller, (*steps, *turns), seconds)
+    rows = plan.score(run(controller, tank, plan.tracked, seconds, keys)).rows()
+    for row, way in zip(rows[len(steps) :], ("counterclockwise", "clockwise"), strict=True):
+        row["described"] = f"one turn, {way}"
+    return {"rows": rows, "warnings": plan.warnings}
 
 
-def _perturbed(entry: _Entry) -> JsonObject:
-    """Run the six references in perturbed tanks."""
-    protocol = entry.protocol
-    keys = entry.keys("benchmark/tank", protocol.tanks)
-    rows = []
-    for width in protocol.widths:
-        plant = RandomizedTank(entry.tank, DomainRandomization.of(width))
-        recording = entry.run(plant, [(entry.tracked, protocol.seconds)], keys)[0]
-        scores = score(recording)
-        worst_n = scores.error.mean(axis=0).max(axis=0)
-        rows.append({"width": width, "worst_tank_n": worst_n, **mean_scores(scores)})
-    return {"rows": rows}
-
-
-def _changed(entry: _Entry) -> JsonObject:
-    """Run the six references on a fin that changes at once."""
-    protocol = entry.protocol
-    start_s = protocol.change_s
-    after = with_parameters(
-        entry.tank, stiffness=protocol.change_stiffness, drag=protocol.change_drag
-    )
-    plant = ChangingTank.between(entry.tank, after, start_s, start_s)
-    keys = entry.keys("evaluate", protocol.seeds)
-    recording = entry.run(plant, [(entry.tracked, 2 * start_s)], keys)[0]
-    window = recording.clock.window_ticks
-    mean = moving_average(np.asarray(recording.force), window)
-    error = mean - entry.tracked[:, None, None]
-    rows = []
-    for after_s in CHANGE_AFTER_S:
-        if after_s <= start_s:
-            at = error[:, :, (start_s + after_s) * RATE_HZ - window]
-            rows.append({"after_s": after_s, "rms_n": np.sqrt((at**2).mean(axis=(0, 1)))})
-    return {"rows": rows}
-
-
-def _frequency(entry: _Entry) -> JsonObject:
-    """Run references that turn and pulse at several rates."""
-    protocol = entry.protocol
-    amplitude_n = protocol.rate_amplitude * entry.radius_n
+def _frequency(
+    controller: Controller,
+    tank: Tank,
+    protocol: BenchmarkProtocol,
+    references: Forces,
+    keys: Key[Array, "seeds"],
+) -> JsonObject:
+    """Run references that turn and pulse at several rates, with the first seed."""
+    centre, radius_n = _circle(references)
+    x, y = protocol.rate_amplitude * radius_n * np.eye(2)
+    # Along the centre, or along x if it is 0.
+    direction = complex(*centre) / abs(complex(*centre)) if centre.any() else 1 + 0j
+    along = direction.real * x + direction.imag * y
     seconds = protocol.rate_settle_s + protocol.rate_seconds
-    centre = complex(*entry.centre_n)
-    direction = centre / abs(centre) if centre else 1 + 0j
-    along = (direction.real, direction.imag)
-    turning = [Turning(entry.centre_n, amplitude_n, rate) for rate in protocol.rates_hz]
-    pulsing = [Pulsing(entry.centre_n, along, amplitude_n, rate) for rate in protocol.rates_hz]
-    plan = entry.plan("frequency", (*turning, *pulsing), seconds)
-    recording = entry.run(entry.tank, [(plan.tracked, seconds)], entry.keys("evaluate", 1))[0]
-    motions: dict[str, list[ResponseRow]] = {"turn": [], "pulse": []}
-    for signal, force, tracked in zip(
-        (*turning, *pulsing), np.asarray(recording.force)[:, 0], plan.tracked, strict=True
-    ):
-        turns = isinstance(signal, Turning)
-        row = response(
-            force,
-            tracked,
-            signal.rate_hz,
+    rates_hz = protocol.rates_hz
+    turns = [_orbit(centre, x, y, rate_hz, seconds) for rate_hz in rates_hz]
+    pulses = [_orbit(centre, 0 * along, along, rate_hz, seconds) for rate_hz in rates_hz]
+    plan = MovingPlan.of("frequency", controller, (*turns, *pulses), seconds)
+    recording = run(controller, tank, plan.tracked, seconds, keys[:1])
+    force = np.asarray(recording.force)[:, 0]
+    rows = [
+        response(
+            force[index],
+            plan.tracked[index],
+            rate_hz,
             recording.clock.window_ticks,
             protocol.rate_settle_s,
-            None if turns else direction,
+            None if index < len(turns) else direction,
         )
-        motions["turn" if turns else "pulse"].append(row)
-    return {"amplitude_n": amplitude_n, "warnings": plan.warnings, **motions}
+        for index, rate_hz in enumerate((*rates_hz, *rates_hz))
+    ]
+    return {"turn": rows[: len(turns)], "pulse": rows[len(turns) :], "warnings": plan.warnings}
 
 
-CASES: Mapping[str, Callable[[_Entry], JsonObject]] = MappingProxyType(
-    {
-        "references": _constant,
-        "moving": _moving,
-        "perturbed": _perturbed,
-        "changed": _changed,
-        "frequency": _frequency,
-    }
-)
-"""The cases by name, in the order in which they run."""
+def _circle(references: Forces) -> tuple[Forces, float]:
+    """Return the centre of the bounding box of forces, and its smaller half side [N]."""
+    low = references.min(axis=0)
+    high = references.max(axis=0)
+    return (low + high) / 2, float((high - low).min() / 2)
+
+
+def _orbit(centre: Forces, cosine: Forces, sine: Forces, rate_hz: float, seconds: int) -> Recorded:
+    """Return the reference centre + cosine cos(2 pi f t) + sine sin(2 pi f t)."""
+    time_s = np.arange(seconds * RATE_HZ) / RATE_HZ
+    phase = 2 * np.pi * rate_hz * time_s[:, None]
+    force = centre + np.cos(phase) * cosine + np.sin(phase) * sine
+    return Recorded.build({"time_s": time_s.tolist(), "force_n": force.tolist()})

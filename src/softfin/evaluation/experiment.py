@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +26,7 @@ from softfin.core.plant import (
     Plant,
     State,
     Ticks,
+    check_commands,
     drop_padding,
     hold_action_with_hidden,
     masked_mean,
@@ -131,10 +133,12 @@ def run_together(
     plant: EvaluationTarget,
     experiments: Sequence[tuple[AnyArray, int]],
     keys: Key[Array, "seeds"],
-    program: "Program | None" = None,
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration [s]; on a simulated plant, one
-    program runs all sets (default: `run_compiled`)."""
+    program runs all sets.
+
+    A controller that is not a pytree of arrays and numbers cannot be compiled; it runs in Python.
+    """
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
@@ -155,7 +159,9 @@ def run_together(
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
     parties = (controller, plant)
-    recorded = (program or run_compiled)(parties, jnp.asarray(np.concatenate(observed)), keys)
+    is_pytree = all(map(eqx.is_array_like, jax.tree.leaves(controller)))
+    program = run_compiled if is_pytree else run_in_python
+    recorded = program(parties, jnp.asarray(np.concatenate(observed)), keys)
     # Each set gets its own rows and ticks of the results.
     first = 0
     recordings = []
@@ -300,14 +306,6 @@ def hold_once(
     return state, (reading, hidden.torque, hidden)
 
 
-Program: TypeAlias = Callable[
-    [tuple[Controller, Plant], Float[Array, "references actions 2"], Key[Array, "seeds"]],
-    LoopRecording,
-]
-"""Runs every series of references with every key; fields ``(references, seeds, ...)``, and the true
-force and the power as output."""
-
-
 @jit("low")
 def run_compiled(
     parties: tuple[Controller, Plant],
@@ -333,3 +331,80 @@ def add_power(run: LoopRecording) -> LoopRecording:
     torque = run.output.torque
     power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
     return run._replace(output=(run.output.true_force, power))
+
+
+def run_in_python(
+    parties: tuple[Controller, Plant],
+    references: Float[Array, "references actions 2"],
+    keys: Key[Array, "seeds"],
+) -> LoopRecording:
+    """Run experiments like `run_compiled`, with a controller that runs in Python: all experiments
+    run in lock step, action by action, and one compiled program moves all fins.
+
+    Raises CommandError if a command is outside the limits of the plant.
+    """
+    controller, plant = parties
+    clock = controller_clock(controller)
+    count, actions, _ = references.shape
+    asked = np.repeat(np.asarray(references), len(keys), axis=0)
+    memories = [controller.init() for _ in asked]
+    states, measured = _start(plant, clock, jnp.tile(keys, count))
+    estimate = getattr(controller, "estimate", None)
+    kept = []
+    estimates = []
+    for index, ticks in enumerate(clock.action_ticks(actions)):
+        seen = jax.tree.map(np.asarray, measured)
+        commands = []
+        for run, reference in enumerate(asked[:, index]):
+            own = jax.tree.map(lambda part, run=run: part[run], seen)
+            memories[run], command = controller.act(memories[run], own, reference)
+            commands.append(command)
+        angle, velocity = np.array(commands, np.float32).T
+        command = Command(jnp.asarray(angle), jnp.asarray(velocity))
+        check_commands(plant.limits, command)
+        states, measured, held = _hold(plant, clock, states, command, jnp.int32(ticks))
+        kept.append(jax.tree.map(np.asarray, held))
+        if estimate is not None:
+            estimates.append(_stack([estimate(memory) for memory in memories]))
+
+    def together(*parts: Any) -> Any:
+        rows = np.concatenate(parts, axis=1)
+        return rows.reshape(count, len(keys), *rows.shape[1:])
+
+    def valid(*parts: Any) -> Any:
+        return together(*parts)[:, :, clock.valid_rows(actions)]
+
+    recorded = LoopRecording(*jax.tree.map(valid, *kept), None)
+    recorded = jax.vmap(jax.vmap(add_power))(recorded)
+    if not estimates:
+        return recorded
+    each = [jax.tree.map(lambda part: part[:, None], after) for after in estimates]
+    return recorded._replace(estimate=jax.tree.map(together, *each))
+
+
+def _stack(trees: list[Any]) -> Any:
+    return jax.tree.map(lambda *parts: np.stack(parts), *trees)
+
+
+@jit("low")
+def _start(plant: Plant, clock: ActionClock, keys: Key[Array, "runs"]) -> tuple[State, Measured]:
+    def one(key: Key[Array, ""]) -> tuple[State, Measured]:
+        state = plant.init(key)
+        return state, measure_at_rest(plant, state, partial(hold_once, plant, clock))
+
+    return jax.vmap(one)(keys)
+
+
+@jit("low")
+def _hold(
+    plant: Plant, clock: ActionClock, states: State, commands: Command, ticks: Ticks
+) -> tuple[State, Measured, Any]:
+    """Hold one command on each fin; also return its measurements, and the command, readings and
+    hidden quantities of each tick."""
+
+    def one(state: State, command: Command) -> tuple[State, Measured, Any]:
+        state, (reading, torque, hidden) = hold_once(plant, clock, state, command, ticks)
+        held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x), command)
+        return state, measure(reading, torque, ticks), (held, reading, hidden)
+
+    return jax.vmap(one)(states, commands)

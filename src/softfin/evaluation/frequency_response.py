@@ -32,16 +32,16 @@ class ResponseRow(TypedDict):
 
     rate_hz: float
     gain: float
-    """Of the mean force over one window, divided by the reference."""
+    """Gain of the mean force over one window."""
     phase_deg: float
     window_gain: float
-    """Of the averaging itself."""
+    """Gain of the averaging alone."""
     window_phase_deg: float
     force_gain: float | None
     """`gain` divided by `window_gain`; None if the window averages this rate out."""
     force_phase_deg: float | None
     counter_gain: float
-    """Of the part that turns the other way; for a pulse, the same as `gain`."""
+    """Gain of the part that turns the other way; for a pulse, the same as `gain`."""
     remainder_n: float
     """RMS of the mean force that does not have this rate [N]."""
 

@@ -19,7 +19,7 @@ from softfin.evaluation.results import MovingRow
 from softfin.evaluation.scores import Scores, mean_scores, score, settled_band, settling_times
 from softfin.gaits.reachable import Cell, ForceVector, Reachable, force_decimals
 from softfin.storage import artifact as artifacts
-from softfin.task.signals import Recorded, ReferenceSamples, Signal, step
+from softfin.task.signals import Recorded, ReferenceSamples, step
 
 STEPS = (((3, 3), (5, 3)), ((1, 1), (3, 3)), ((3, 1), (3, 5)), ((5, 3), (1, 1)))
 """Start and end of the default steps, in sixths of the controller's range on each axis. For the
@@ -58,7 +58,7 @@ class MovingPlan(NamedTuple):
 
     name: str
     """Name of the figure."""
-    signals: tuple[Signal, ...]
+    signals: tuple[Recorded, ...]
     seconds: int
     tracked: Float[np.ndarray, "signals ticks 2"]
     """Tracked reference, one force per tick [N]: the signal, with unreachable forces replaced by
@@ -73,7 +73,7 @@ class MovingPlan(NamedTuple):
         cls,
         name: str,
         controller: Controller,
-        signals: tuple[Signal, ...],
+        signals: tuple[Recorded, ...],
         seconds: int,
         strict: bool = False,
     ) -> "MovingPlan":
@@ -130,7 +130,7 @@ class MovingScores(NamedTuple):
 
 
 def _resolve_signal(
-    controller: Controller, signal: Signal, ticks: int, strict: bool
+    controller: Controller, signal: Recorded, ticks: int, strict: bool
 ) -> tuple[ReferenceSamples, str | None]:
     """Return the force to track at each tick (the nearest reachable force), and a warning if the
     forces differ from the signal."""

@@ -22,6 +22,7 @@ from softfin.storage.registry import build_object, check_plant, find_plant, plan
 
 if TYPE_CHECKING:
     from softfin.control.controller import Controller
+    from softfin.control.family import Family
     from softfin.core.quantities import Limits
 
 
@@ -60,7 +61,9 @@ def benchmark(
     if isinstance(controller, str | Path) and not _is_import(controller):
         artifacts.find_description(Path(controller), "controller")
     from softfin.control.controller import controller_clock
+    from softfin.control.feedback import FeedbackConfig
     from softfin.evaluation.benchmark import PROTOCOL_VERSION, BenchmarkProtocol, run_benchmark
+    from softfin.evaluation.evaluate import check_limits
     from softfin.tank import Tank
 
     protocol = configure(BenchmarkProtocol(), config)
@@ -71,9 +74,11 @@ def benchmark(
             "parameters of a tank; run softfin calibrate to fit a tank to your fin"
         )
     name = str(controller) if isinstance(controller, str | Path) else type(controller).__name__
-    entry = _load_entry(controller, name, tank.limits, plant_name(plant), feedback)
-    scores = run_benchmark(entry, tank, protocol, progress)
-    kind = getattr(entry.controller if feedback else entry, "kind", type(entry).__name__)
+    entry, family = _load_entry(controller, name, tank.limits)
+    if hasattr(entry, "limits"):
+        check_limits(entry.limits, tank.limits, Path(name), plant_name(plant))
+    used = FeedbackConfig() if feedback else None
+    cases = run_benchmark(entry, tank, protocol, used, family, progress)
     summary = {
         **artifacts.head("benchmark"),
         "protocol_version": PROTOCOL_VERSION,
@@ -81,16 +86,14 @@ def benchmark(
         "configuration": protocol.model_dump(mode="json"),
         "conditions": {
             "controller": name,
-            "kind": f"{kind} with feedback" if feedback else kind,
+            "kind": getattr(entry, "kind", type(entry).__name__),
             "clock": controller_clock(entry).model_dump(mode="json"),
             "plant": plant_name(plant),
             "feedback": feedback,
-            "judged_by": "true force",
         },
-        **scores,
+        "cases": artifacts.plain(cases),
         "provenance": artifacts.provenance(seed=protocol.seed),
     }
-    summary = artifacts.plain(summary)
     if out is not None:
         # Imported here because importing Matplotlib takes a second and is needed only for drawing.
         from softfin.evaluation.figures import response_figure
@@ -98,9 +101,8 @@ def benchmark(
 
         def write(folder: Path) -> None:
             artifacts.write_description(folder, "benchmark", summary)
-            frequency = summary["cases"].get("frequency", {})
-            if "turn" in frequency:
-                motions = {name: frequency[name] for name in ("turn", "pulse")}
+            if "turn" in cases["frequency"]:
+                motions = {name: cases["frequency"][name] for name in ("turn", "pulse")}
                 save_figure(response_figure(motions), folder / "frequency_response.png")
 
         artifacts.write_folder(Path(out), write, overwrite)
@@ -114,39 +116,33 @@ def _is_import(name: str | Path) -> bool:
 
 
 def _load_entry(
-    controller: Entry, name: str, limits: "Limits", plant: str, feedback: bool
-) -> "Controller":
-    """Return the controller to run; raises a SoftfinError if it is none, or exceeds the limits of
-    the tank."""
+    controller: Entry, name: str, limits: "Limits"
+) -> "tuple[Controller, Family | None]":
+    """Return the controller to run, and the family of its fin if there is one; a policy acts within
+    `limits`."""
     from softfin.control.controller import Controller
     from softfin.control.family import load_family
-    from softfin.control.feedback import Feedback
     from softfin.control.store import load_controller
-    from softfin.evaluation.evaluate import check_limits
-    from softfin.evaluation.lock_step import PolicyController, PredictPolicy
+    from softfin.evaluation.predict import PolicyController, PredictPolicy
 
-    family = None
+    if isinstance(controller, str | Path) and not _is_import(controller):
+        loaded = load_controller(controller)
+        return loaded, load_family(Path(controller), loaded)
     entry = controller
     if isinstance(controller, str | Path):
-        if _is_import(controller):
-            try:
-                entry = build_object(name, (Controller, PredictPolicy))
-            except Exception as error:
-                # The user's code may raise any error.
-                raise ConfigurationError(
-                    f"{name}: {type(error).__name__}: {one_line(error)}; use a controller folder, "
-                    "or package.module:name"
-                ) from error
-        else:
-            entry = load_controller(controller)
-            family = load_family(Path(controller), entry) if feedback else None
+        try:
+            entry = build_object(name, (Controller, PredictPolicy))
+        except Exception as error:
+            # The user's code may raise any error.
+            raise ConfigurationError(
+                f"{name}: {type(error).__name__}: {one_line(error)}; use a controller folder, or "
+                "package.module:name"
+            ) from error
     if isinstance(entry, PredictPolicy):
-        entry = PolicyController(entry, getattr(entry, "limits", limits))
+        return PolicyController(entry, limits), None
     if not isinstance(entry, Controller):
         raise ConfigurationError(
             f"{name}: a {type(entry).__name__} is neither a controller (init, act, check) nor a "
             "policy (predict); see docs/benchmark.md"
         )
-    if hasattr(entry, "limits"):
-        check_limits(entry.limits, limits, Path(name), plant)
-    return Feedback(entry, family=family) if feedback else entry
+    return entry, None

@@ -15,7 +15,6 @@ from softfin.evaluation.results import (
     MovingRow,
     RangeErrors,
 )
-from softfin.gaits.reachable import force_decimals
 
 TABLE_TWO_TITLES = ("x error", "x std", "y error", "y std")
 
@@ -165,44 +164,33 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
 
 
 def benchmark_table(summary: JsonObject) -> str:
-    """Return the scores of a benchmark; columns have new titles for a fin that changes and for the
-    frequency response."""
+    """Return the scores of a benchmark."""
     cases = summary["cases"]
-    largest_n = max(abs(force) for pair in summary["references_n"] for force in pair)
-    decimals = force_decimals(largest_n) + 1
-    kind = power_kind(cases["references"]["mean"].get("power", {}))
-    conditions = summary["conditions"]
-    title = f"benchmark {summary['protocol_version']}, {conditions['kind']}"
-    powers = ("power W", "N/W") if kind else ()
-    rows: list[list[object]] = [[title, *TABLE_TWO_TITLES, *powers, "settles in"]]
-    rows.append(["  six references", *_scores(cases["references"]["mean"], decimals, kind)])
-    for row in cases.get("perturbed", {}).get("rows", ()):
-        title = f"  tanks perturbed by {row['width']:.0%}"
-        rows.append([title, *_scores(row, decimals, kind)])
-    for name in ("steps", "turns"):
-        for row in cases.get("moving", {}).get(name, {}).get("rows", ()):
-            cells = _scores(row, decimals, kind)
-            rows.append([f"  {row['described']}", *cells, settling_time(row)])
-    rows.append(["fin that changes", "x rms", "", "y rms"])
-    for row in cases.get("changed", {}).get("rows", ()):
-        x, y = (f"{rms_n:.{decimals}f}" for rms_n in row["rms_n"])
-        after = f"  {row['after_s']} s after" if row["after_s"] else "  before"
-        rows.append([after, x, "", y])
-    rows.append(["frequency response", "turn gain", "phase", "pulse gain", "phase", "window gain"])
-    responses = (cases.get("frequency", {}).get(name, ()) for name in ("turn", "pulse"))
-    for pair in zip(*responses, strict=True):
-        cells = [f"  {pair[0]['rate_hz']:g} Hz"]
-        for row in pair:
-            cells += [f"{row['gain']:.3f}", f"{row['phase_deg']:.0f} deg"]
-        rows.append([*cells, f"{pair[0]['window_gain']:.3f}"])
-    warnings = list(summary["warnings"])
-    for name, case in cases.items():
-        warnings += case.get("warnings", ())
-        if "not_covered" in case:
-            warnings.append(f"{name}: {case['not_covered']}")
+    constant = cases["references"]
+    decimals = error_decimals(constant)
+    name = summary["conditions"]["kind"] + " with feedback" * summary["conditions"]["feedback"]
+    lines = [table_two({f"{name}, benchmark {summary['protocol_version']}": constant})]
+    lines.append(moving_table(cases["moving"].get("rows", ()), decimals))
+    rows = [["other fins", "x error", "y error"]]
+    for row in cases["perturbed"]:
+        errors = [f"{row['mean'][axis]['error_n']:.{decimals}f}" for axis in AXES]
+        rows.append([f"  tanks perturbed by {row['width']:.0%}", *errors])
+    for row in cases["changed"]:
+        errors = [f"{rms_n:.{decimals}f}" for rms_n in row["rms_n"]]
+        rows.append([f"  changed fin, after {row['after_s']} s (rms)", *errors])
+    rows.append(["frequency response", "turn", "pulse", "window"])
+    responses = (cases["frequency"].get(motion, ()) for motion in ("turn", "pulse"))
+    for turn, pulse in zip(*responses, strict=True):
+        gains = [f"{row['gain']:.3f}, {row['phase_deg']:.0f} deg" for row in (turn, pulse)]
+        rows.append([f"  {turn['rate_hz']:g} Hz", *gains, f"{turn['window_gain']:.3f}"])
+    lines += aligned(rows)
+    for case in (cases["moving"], cases["frequency"]):
+        lines += [f"warning: {text}" for text in case.get("warnings", [case.get("not_covered")])]
+    if constant["warning"] is not None:
+        lines.append(f"warning: {constant['warning']}")
     if not summary["is_standard"]:
-        warnings.append("the protocol was changed; do not compare these scores with others")
-    return "\n".join([*aligned(rows), *(f"warning: {warning}" for warning in warnings)])
+        lines.append("warning: the protocol was changed; do not compare these scores with others")
+    return "\n".join(lines)
 
 
 def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:

@@ -10,7 +10,6 @@ these columns, but start at 0.01 s, so a first row up to one tick late applies f
 """
 
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -91,53 +90,6 @@ class Recorded(Configuration):
             start, to = map(format_force, self.force_n)
             return f"step {start} to {to} N at {self.time_s[1]:g} s"
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
-
-
-@runtime_checkable
-class Signal(Protocol):
-    """A moving reference."""
-
-    def sample(self, ticks: int) -> ReferenceSamples:
-        """Return the reference (x, y) at 100 Hz, starting at time 0."""
-        ...
-
-
-class Turning(NamedTuple):
-    """A force that turns about a centre: centre + amplitude (cos, sin)(2 pi rate t)."""
-
-    centre_n: ForceVector
-    amplitude_n: float
-    rate_hz: float
-
-    def sample(self, ticks: int) -> ReferenceSamples:
-        """Return the reference (x, y) at 100 Hz, starting at time 0."""
-        phase = 2 * np.pi * self.rate_hz * np.arange(ticks) / RATE_HZ
-        turn = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-        return np.asarray(self.centre_n + self.amplitude_n * turn, np.float32)
-
-    def __str__(self) -> str:
-        centre = format_force(self.centre_n)
-        return f"turning {self.amplitude_n:g} N about {centre} N at {self.rate_hz:g} Hz"
-
-
-class Pulsing(NamedTuple):
-    """A force that moves along a line: centre + amplitude along sin(2 pi rate t)."""
-
-    centre_n: ForceVector
-    along: ForceVector
-    """Unit vector [-]."""
-    amplitude_n: float
-    rate_hz: float
-
-    def sample(self, ticks: int) -> ReferenceSamples:
-        """Return the reference (x, y) at 100 Hz, starting at time 0."""
-        pulse = np.sin(2 * np.pi * self.rate_hz * np.arange(ticks) / RATE_HZ)
-        moved = self.amplitude_n * pulse[:, None] * np.array(self.along)
-        return np.asarray(self.centre_n + moved, np.float32)
-
-    def __str__(self) -> str:
-        centre = format_force(self.centre_n)
-        return f"pulsing {self.amplitude_n:g} N about {centre} N at {self.rate_hz:g} Hz"
 
 
 def step(start_n: ForceVector, to_n: ForceVector, at_s: float | int = 10.0) -> Recorded:
