@@ -44,7 +44,7 @@ ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
 
 
 def evaluated(references: Any) -> Any:
-    return experiment.run_compiled.__wrapped__(
+    return experiment._program.__wrapped__(
         (Flapper(), MarkedFin()), references, jax.random.split(KEY, 2)
     )
 

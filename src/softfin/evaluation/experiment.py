@@ -160,7 +160,7 @@ def run_together(
     register_controllers()
     parties = (controller, plant)
     is_pytree = all(map(eqx.is_array_like, jax.tree.leaves(controller)))
-    program = run_compiled if is_pytree else run_in_python
+    program = _program if is_pytree else _run_in_python
     recorded = program(parties, jnp.asarray(np.concatenate(observed)), keys)
     # Each set gets its own rows and ticks of the results.
     first = 0
@@ -251,12 +251,12 @@ def closed_loop(
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
         state, (reading, torque, output) = hold(state, command, ticks)
-        measured = measure(reading, torque, ticks)
+        measured = _measured(reading, torque, ticks)
         held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
         return (memory, state, measured), ((held, reading, output), estimate(memory))
 
     state = plant.init(key)
-    carry = (controller.init(), state, measure_at_rest(plant, state, hold))
+    carry = (controller.init(), state, _measure_at_rest(plant, state, hold))
     _, (kept, estimates) = jax.lax.scan(
         action, carry, (references, jnp.asarray(clock.action_ticks(actions)))
     )
@@ -264,18 +264,18 @@ def closed_loop(
     return LoopRecording(command, reading, output, estimates)
 
 
-def measure_at_rest(
+def _measure_at_rest(
     plant: Plant, state: State, hold: Callable[[State, Command, Ticks], Held]
 ) -> Measured:
     """Return the measurements for the first action, which is computed before the first reading, as
     if the fin were at rest."""
     shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
     reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    rest = measure(reading, torque, 1)
+    rest = _measured(reading, torque, 1)
     return rest._replace(angle=jnp.float32(plant.limits.rest_angle))
 
 
-def measure(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
+def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
     """Return the measurements for a controller after an action: the last angle, and means."""
     # Readings are padded to the longest action, so use the last valid angle and average only over
     # the valid forces.
@@ -293,10 +293,10 @@ def simulate(
     """Run a controller on a plant from rest, like `closed_loop`; the output is what the plant knows
     besides its readings (`Hidden`)."""
     clock = controller_clock(controller)
-    return closed_loop(controller, plant, partial(hold_once, plant, clock), references, key, clock)
+    return closed_loop(controller, plant, partial(_hold_once, plant, clock), references, key, clock)
 
 
-def hold_once(
+def _hold_once(
     plant: Plant, clock: ActionClock, state: State, command: Command, ticks: Ticks
 ) -> Held:
     """Hold a command on a plant for an action; the extra output is `Hidden`."""
@@ -307,7 +307,7 @@ def hold_once(
 
 
 @jit("low")
-def run_compiled(
+def _program(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
@@ -317,7 +317,7 @@ def run_compiled(
     controller, plant = parties
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
-        return add_power(simulate(controller, plant, asked, key))
+        return _add_power(simulate(controller, plant, asked, key))
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
@@ -326,19 +326,19 @@ def run_compiled(
     return each
 
 
-def add_power(run: LoopRecording) -> LoopRecording:
+def _add_power(run: LoopRecording) -> LoopRecording:
     """Replace the output of one run, which is `Hidden`, by the true force and the power."""
     torque = run.output.torque
     power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
     return run._replace(output=(run.output.true_force, power))
 
 
-def run_in_python(
+def _run_in_python(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
 ) -> LoopRecording:
-    """Run experiments like `run_compiled`, with a controller that runs in Python: all experiments
+    """Run experiments like `_program`, with a controller that runs in Python: all experiments
     run in lock step, action by action, and one compiled program moves all fins.
 
     Raises CommandError if a command is outside the limits of the plant.
@@ -375,7 +375,7 @@ def run_in_python(
         return together(*parts)[:, :, clock.valid_rows(actions)]
 
     recorded = LoopRecording(*jax.tree.map(valid, *kept), None)
-    recorded = jax.vmap(jax.vmap(add_power))(recorded)
+    recorded = jax.vmap(jax.vmap(_add_power))(recorded)
     if not estimates:
         return recorded
     each = [jax.tree.map(lambda part: part[:, None], after) for after in estimates]
@@ -390,7 +390,7 @@ def _stack(trees: list[Any]) -> Any:
 def _start(plant: Plant, clock: ActionClock, keys: Key[Array, "runs"]) -> tuple[State, Measured]:
     def one(key: Key[Array, ""]) -> tuple[State, Measured]:
         state = plant.init(key)
-        return state, measure_at_rest(plant, state, partial(hold_once, plant, clock))
+        return state, _measure_at_rest(plant, state, partial(_hold_once, plant, clock))
 
     return jax.vmap(one)(keys)
 
@@ -403,8 +403,8 @@ def _hold(
     hidden quantities of each tick."""
 
     def one(state: State, command: Command) -> tuple[State, Measured, Any]:
-        state, (reading, torque, hidden) = hold_once(plant, clock, state, command, ticks)
+        state, (reading, torque, hidden) = _hold_once(plant, clock, state, command, ticks)
         held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x), command)
-        return state, measure(reading, torque, ticks), (held, reading, hidden)
+        return state, _measured(reading, torque, ticks), (held, reading, hidden)
 
     return jax.vmap(one)(states, commands)
