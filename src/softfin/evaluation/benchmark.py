@@ -144,7 +144,7 @@ def run_benchmark(
     for share, name, case in ((0.7, "moving", _moving), (0.8, "frequency", _frequency)):
         progress("benchmark", share, name)
         try:
-            cases[name] = case(controller, tank, protocol, np.array(references), keys)
+            cases[name] = case(controller, tank, protocol, np.array(references, float), keys)
         except CoverageError as error:
             cases[name] = {"not_covered": str(error)}
     progress("benchmark", 1.0, "")

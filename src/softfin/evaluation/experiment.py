@@ -374,7 +374,8 @@ def _run_in_python(
     def valid(*parts: Any) -> Any:
         return together(*parts)[:, :, clock.valid_rows(actions)]
 
-    recorded = LoopRecording(*jax.tree.map(valid, *kept), None)
+    command, reading, hidden = jax.tree.map(valid, *kept)
+    recorded = LoopRecording(command, reading, hidden, None)
     recorded = jax.vmap(jax.vmap(_add_power))(recorded)
     if not estimates:
         return recorded

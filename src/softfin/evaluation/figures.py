@@ -98,9 +98,13 @@ def response_figure(motions: dict[str, list[ResponseRow]]) -> Figure:
         for (name, rows), colour in zip(motions.items(), (BLUE, ORANGE), strict=True):
             rates = [row["rate_hz"] for row in rows]
             gain.plot(rates, [row["gain"] for row in rows], "o-", color=colour, label=name)
-            has_phase = [row for row in rows if row["force_phase_deg"] is not None]
-            lags = np.unwrap([row["force_phase_deg"] for row in has_phase], period=360)
-            phase.plot([row["rate_hz"] for row in has_phase], lags, "o-", color=colour)
+            lags = {
+                row["rate_hz"]: row["force_phase_deg"]
+                for row in rows
+                if row["force_phase_deg"] is not None
+            }
+            unwrapped = np.unwrap(list(lags.values()), period=360)
+            phase.plot(list(lags), unwrapped, "o-", color=colour)
         window_gain = [row["window_gain"] for row in rows]
         gain.plot(rates, window_gain, "--", color=GREY, label="window alone")
         gain.set(ylabel="gain of the mean force [-]", ylim=(0, None))
