@@ -3,7 +3,7 @@ true force."""
 
 import numpy as np
 import pydantic
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from softfin.control.controller import Controller
 from softfin.control.family import Family
@@ -29,6 +29,9 @@ PROTOCOL_VERSION = 1
 
 STEPS = ((2, 3), (0, 2), (1, 5), (3, 0))
 """Start and end of the steps, as indices of the six references."""
+
+Vector = Float[np.ndarray, "2"]
+"""A force (x, y) [N]."""
 
 CHANGE_AFTER_S = (0, 4, 6, 10, 20, 30)
 """Times after the change of a fin at which windows end that are scored [s]; 0 is before it."""
@@ -206,14 +209,14 @@ def _frequency(
     return {"turn": rows[: len(turns)], "pulse": rows[len(turns) :], "warnings": plan.warnings}
 
 
-def _circle(references: Forces) -> tuple[Forces, float]:
+def _circle(references: Forces) -> tuple[Vector, float]:
     """Return the centre of the bounding box of forces, and its smaller half side [N]."""
     low = references.min(axis=0)
     high = references.max(axis=0)
     return (low + high) / 2, float((high - low).min() / 2)
 
 
-def _orbit(centre: Forces, cosine: Forces, sine: Forces, rate_hz: float, seconds: int) -> Recorded:
+def _orbit(centre: Vector, cosine: Vector, sine: Vector, rate_hz: float, seconds: int) -> Recorded:
     """Return the reference centre + cosine cos(2 pi f t) + sine sin(2 pi f t)."""
     time_s = np.arange(seconds * RATE_HZ) / RATE_HZ
     phase = 2 * np.pi * rate_hz * time_s[:, None]
