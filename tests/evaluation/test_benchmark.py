@@ -139,7 +139,6 @@ class Wrapped:
         self.init = controller.init
         self.act = controller.act
         self.check = controller.check
-        self.estimate = controller.estimate
 
 
 def test_python_and_the_compiled_program_run_the_same_experiment():
@@ -149,6 +148,7 @@ def test_python_and_the_compiled_program_run_the_same_experiment():
     compiled, stepped = (
         run(controller, TANK, references, 6, keys) for controller in (feedback, Wrapped(feedback))
     )
+    compiled = compiled._replace(estimate=None)
     for one, other in zip(jax.tree.leaves(compiled[1:]), jax.tree.leaves(stepped[1:]), strict=True):
         np.testing.assert_allclose(one, other, atol=0.02)
     assert np.ptp(np.asarray(stepped.command.angle)) > 0.5

@@ -9,7 +9,7 @@ program, which records every tick of 10 ms.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -339,7 +339,8 @@ def _run_in_python(
     keys: Key[Array, "seeds"],
 ) -> LoopRecording:
     """Run experiments like `_program`, with a controller that runs in Python: all experiments
-    run in lock step, action by action, and one compiled program moves all fins.
+    run in lock step, action by action, and one compiled program moves all fins. There are no
+    estimates.
 
     Raises CommandError if a command is outside the limits of the plant.
     """
@@ -349,9 +350,7 @@ def _run_in_python(
     asked = np.repeat(np.asarray(references), len(keys), axis=0)
     memories = [controller.init() for _ in asked]
     states, measured = _start(plant, clock, jnp.tile(keys, count))
-    estimate = getattr(controller, "estimate", None)
     kept = []
-    estimates = []
     for index, ticks in enumerate(clock.action_ticks(actions)):
         seen = jax.tree.map(np.asarray, measured)
         commands = []
@@ -364,27 +363,14 @@ def _run_in_python(
         check_commands(plant.limits, command)
         states, measured, held = _hold(plant, clock, states, command, jnp.int32(ticks))
         kept.append(jax.tree.map(np.asarray, held))
-        if estimate is not None:
-            estimates.append(_stack([estimate(memory) for memory in memories]))
 
     def together(*parts: Any) -> Any:
-        rows = np.concatenate(parts, axis=1)
+        rows = np.concatenate(parts, axis=1)[:, clock.valid_rows(actions)]
         return rows.reshape(count, len(keys), *rows.shape[1:])
 
-    def valid(*parts: Any) -> Any:
-        return together(*parts)[:, :, clock.valid_rows(actions)]
-
-    command, reading, hidden = jax.tree.map(valid, *kept)
+    command, reading, hidden = jax.tree.map(together, *kept)
     recorded = LoopRecording(command, reading, hidden, None)
-    recorded = jax.vmap(jax.vmap(_add_power))(recorded)
-    if not estimates:
-        return recorded
-    each = [jax.tree.map(lambda part: part[:, None], after) for after in estimates]
-    return recorded._replace(estimate=jax.tree.map(together, *each))
-
-
-def _stack(trees: list[Any]) -> Any:
-    return jax.tree.map(lambda *parts: np.stack(parts), *trees)
+    return cast(LoopRecording, jax.vmap(jax.vmap(_add_power))(recorded))
 
 
 @jit("low")
