@@ -29,6 +29,7 @@ from softfin.core.quantities import Command, Limits, Reading
 from softfin.evaluation.experiment import simulate
 from softfin.evaluation.find_family import FamilyConfig
 from softfin.tank import Tank, TankConfig
+from softfin.tank.changing import ChangingTank
 from softfin.tank.randomization import sample_tank, with_parameters
 from softfin.tank.tank import TankState
 
@@ -44,14 +45,9 @@ WIDTHS = FamilyConfig().widths
 
 
 class ChangingFin(eqx.Module):
-    """A tank whose parameters change into those of another one between two times, and a motor with
-    an unknown torque constant and friction."""
+    """A tank that changes, and a motor with an unknown torque constant and friction."""
 
-    before: Tank
-    after: Tank
-    start: Float[Array, ""]
-    end: Float[Array, ""]
-    """Times [ticks]."""
+    tank: ChangingTank
     scale: Float[Array, ""]
     friction_nm: Float[Array, ""]
     has_sensor: bool = eqx.field(static=True)
@@ -59,22 +55,19 @@ class ChangingFin(eqx.Module):
 
     @property
     def limits(self) -> Limits:
-        return self.before.limits
+        return self.tank.limits
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        return self.before.init(key)
+        return self.tank.init(key)
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        share = (state.ticks - self.start) / jnp.maximum(self.end - self.start, 1)
-        share = jnp.clip(share, 0, 1)
-        now: Tank = jax.tree.map(lambda a, b: a + (b - a) * share, self.before, self.after)
-        return now.advance(state, command, ticks)
+        return self.tank.advance(state, command, ticks)
 
     def true_force(self, state: TankState) -> Float[Array, "2"]:
-        return state.force
+        return self.tank.true_force(state)
 
     def torque(self, state: TankState) -> Float[Array, "2"]:
-        shaft, motor = state.torque
+        shaft, motor = self.tank.torque(state)
         friction = self.friction_nm * jnp.sign(state.drive.rate)
         seen = shaft if self.has_sensor else jnp.nan * shaft
         return jnp.stack([seen, self.scale * (motor + friction)])
@@ -89,9 +82,8 @@ def changing(
     has_sensor: bool = True,
 ) -> ChangingFin:
     """Return a fin that changes from `start_s` to `end_s`."""
-    numbers = (100 * start_s, 100 * end_s, *motor)
-    after = before if after is None else after
-    return ChangingFin(before, after, *map(jnp.float32, numbers), has_sensor)
+    tank = ChangingTank.between(before, before if after is None else after, start_s, end_s)
+    return ChangingFin(tank, *map(jnp.float32, motor), has_sensor)
 
 
 class Run(NamedTuple):

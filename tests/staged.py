@@ -91,8 +91,20 @@ CALIBRATE = {
     "tank": COARSE,
 }
 
+BENCHMARK = {
+    "seconds": 4,
+    "seeds": 1,
+    "widths": [0.3],
+    "tanks": 2,
+    "change_s": 4,
+    "rates_hz": [0.4],
+    "rate_seconds": 5,
+    "rate_settle_s": 2,
+}
+
 CONFIGURATIONS = MappingProxyType(
     {
+        "benchmark.yaml": BENCHMARK,
         "streaming.yaml": STREAMING,
         "paper.yaml": FIT,
         "map.yaml": MAP,

@@ -26,6 +26,7 @@ from softfin.cli import COMMANDS, application, import_function, main
 from softfin.core.configuration import Configuration, configure
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
+from softfin.evaluation.benchmark import BenchmarkProtocol
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.find_family import FamilyConfig
 from softfin.gaits.force_map import MapConfig
@@ -64,6 +65,7 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "robot evaluate": (RobotEvaluateConfig(),),
     "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
+    "benchmark": (BenchmarkProtocol(),),
     "ros2": (NodeConfig(),),
 }
 """Of each command that has one, what --config and fields as options may change."""

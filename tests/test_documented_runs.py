@@ -44,6 +44,7 @@ TINY = {
     "evaluate": f"--seconds 3 --repeats 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --random": "--random 4",
+    "benchmark": "--plant tank.yaml --config benchmark.yaml",
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
 }
@@ -77,6 +78,7 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "demo": "tests/cli/test_demo.py",
+    "benchmark hand-gaits --plant examples/fins/hand.yaml --out benchmark-hand": "tests/evaluation/test_benchmark.py",
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
     "fit recordings --model softfin_gru:ARCHITECTURE --out surrogate": "tests/surrogate/test_registry.py",

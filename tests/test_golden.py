@@ -223,7 +223,7 @@ def test_each_description_is_read(file: Path) -> None:
     assert artifacts.load_description(file.parent, kind)["kind"] == kind
 
 
-WRITTEN_ONLY = ("inspection", "evaluation", "calibration", "robot")
+WRITTEN_ONLY = ("inspection", "evaluation", "benchmark", "calibration", "robot")
 """Kinds that softfin itself does not read, but other programs do."""
 
 

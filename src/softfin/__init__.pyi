@@ -6,11 +6,13 @@ from .core.quantities import Log as Log
 from .core.quantities import Reading as Reading
 from .data.collect import CollectConfig as CollectConfig
 from .data.importing.importing import ImportConfig as ImportConfig
+from .evaluation.benchmark import BenchmarkProtocol as BenchmarkProtocol
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .gaits.force_map import MapConfig as MapConfig
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
+from .stages.benchmark import benchmark as benchmark
 from .stages.collect import collect as collect
 from .stages.controllers import export as export
 from .stages.controllers import family as family

@@ -79,6 +79,10 @@ GROUPS = {
             "softfin.stages.evaluation:evaluate",
             "evaluate a controller on a fin over reference forces",
         ),
+        "benchmark": Command(
+            "softfin.stages.benchmark:benchmark",
+            "run the benchmark protocol on a controller or a policy",
+        ),
         "explore": Command(
             "softfin.stages.explore:explore",
             "write an HTML page to try controllers or to move the fin by hand",

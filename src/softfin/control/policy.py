@@ -65,6 +65,10 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
         observation: Array = ops.xp.concat([now, actions[: 2 * (self.past_actions + 1)]])
         return observation
 
+    def observe_scaled(self, ops: Operations, now: Array, actions: Array) -> Array:
+        """Return the observation in the units of training."""
+        return self.observe(ops, now, actions) / self.units()
+
 
 class PolicyMemory(NamedTuple):
     """Memory of an LSTM."""

@@ -23,6 +23,9 @@ else:
     PlantLike = Any
     Settings = Any
 
+Entry: TypeAlias = Any
+"""A folder of a controller, or an object that acts as one; on the command line, it is text."""
+
 PathLike: TypeAlias = str | Path
 """A file or a folder."""
 

@@ -8,8 +8,10 @@ program, which records every tick of 10 ms.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from functools import partial
+from typing import Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +26,7 @@ from softfin.core.plant import (
     Plant,
     State,
     Ticks,
+    check_commands,
     drop_padding,
     hold_action_with_hidden,
     masked_mean,
@@ -132,7 +135,10 @@ def run_together(
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration [s]; on a simulated plant, one
-    program runs all sets."""
+    program runs all sets.
+
+    A controller that is not a pytree of arrays and numbers cannot be compiled; it runs in Python.
+    """
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
@@ -153,7 +159,9 @@ def run_together(
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     register_controllers()
     parties = (controller, plant)
-    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
+    is_pytree = all(map(eqx.is_array_like, jax.tree.leaves(controller)))
+    program = _program if is_pytree else _run_in_python
+    recorded = program(parties, jnp.asarray(np.concatenate(observed)), keys)
     # Each set gets its own rows and ticks of the results.
     first = 0
     recordings = []
@@ -247,18 +255,24 @@ def closed_loop(
         held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
         return (memory, state, measured), ((held, reading, output), estimate(memory))
 
-    # The first action is computed before the first reading, as if the fin were at rest.
     state = plant.init(key)
-    shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
-    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    rest = _measured(reading, torque, 1)
-    rest = rest._replace(angle=jnp.float32(plant.limits.rest_angle))
-    carry = (controller.init(), state, rest)
+    carry = (controller.init(), state, _measure_at_rest(plant, state, hold))
     _, (kept, estimates) = jax.lax.scan(
         action, carry, (references, jnp.asarray(clock.action_ticks(actions)))
     )
     command, reading, output = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
     return LoopRecording(command, reading, output, estimates)
+
+
+def _measure_at_rest(
+    plant: Plant, state: State, hold: Callable[[State, Command, Ticks], Held]
+) -> Measured:
+    """Return the measurements for the first action, which is computed before the first reading, as
+    if the fin were at rest."""
+    shapes = jax.eval_shape(hold, state, rest_command(plant.limits), jnp.int32(1))[1]
+    reading, torque, _ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    rest = _measured(reading, torque, 1)
+    return rest._replace(angle=jnp.float32(plant.limits.rest_angle))
 
 
 def _measured(reading: Reading, torque: Torque, ticks: Ticks) -> Measured:
@@ -279,13 +293,17 @@ def simulate(
     """Run a controller on a plant from rest, like `closed_loop`; the output is what the plant knows
     besides its readings (`Hidden`)."""
     clock = controller_clock(controller)
+    return closed_loop(controller, plant, partial(_hold_once, plant, clock), references, key, clock)
 
-    def hold(state: State, command: Command, ticks: Ticks) -> Held:
-        held = hold_action_with_hidden(plant, state, command, ticks, clock.max_ticks)
-        state, (reading, hidden) = held
-        return state, (reading, hidden.torque, hidden)
 
-    return closed_loop(controller, plant, hold, references, key, clock)
+def _hold_once(
+    plant: Plant, clock: ActionClock, state: State, command: Command, ticks: Ticks
+) -> Held:
+    """Hold a command on a plant for an action; the extra output is `Hidden`."""
+    state, (reading, hidden) = hold_action_with_hidden(
+        plant, state, command, ticks, clock.max_ticks
+    )
+    return state, (reading, hidden.torque, hidden)
 
 
 @jit("low")
@@ -299,13 +317,81 @@ def _program(
     controller, plant = parties
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> LoopRecording:
-        run = simulate(controller, plant, asked, key)
-        torque = run.output.torque
-        power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
-        return run._replace(output=(run.output.true_force, power))
+        return _add_power(simulate(controller, plant, asked, key))
 
     # Keys are the inner axis and references the outer axis: (references, seeds, ticks).
     each: LoopRecording = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )
     return each
+
+
+def _add_power(run: LoopRecording) -> LoopRecording:
+    """Replace the output of one run, which is `Hidden`, by the true force and the power."""
+    torque = run.output.torque
+    power = None if torque is None else drive_power(torque, jnp.asarray(run.reading.velocity))
+    return run._replace(output=(run.output.true_force, power))
+
+
+def _run_in_python(
+    parties: tuple[Controller, Plant],
+    references: Float[Array, "references actions 2"],
+    keys: Key[Array, "seeds"],
+) -> LoopRecording:
+    """Run experiments like `_program`, with a controller that runs in Python: all experiments
+    run in lock step, action by action, and one compiled program moves all fins. There are no
+    estimates.
+
+    Raises CommandError if a command is outside the limits of the plant.
+    """
+    controller, plant = parties
+    clock = controller_clock(controller)
+    count, actions, _ = references.shape
+    asked = np.repeat(np.asarray(references), len(keys), axis=0)
+    memories = [controller.init() for _ in asked]
+    states, measured = _start(plant, clock, jnp.tile(keys, count))
+    kept = []
+    for index, ticks in enumerate(clock.action_ticks(actions)):
+        seen = jax.tree.map(np.asarray, measured)
+        commands = []
+        for run, reference in enumerate(asked[:, index]):
+            own = jax.tree.map(lambda part, run=run: part[run], seen)
+            memories[run], command = controller.act(memories[run], own, reference)
+            commands.append(command)
+        angle, velocity = np.array(commands, np.float32).T
+        command = Command(jnp.asarray(angle), jnp.asarray(velocity))
+        check_commands(plant.limits, command)
+        states, measured, held = _hold(plant, clock, states, command, jnp.int32(ticks))
+        kept.append(jax.tree.map(np.asarray, held))
+
+    def together(*parts: Any) -> Any:
+        rows = np.concatenate(parts, axis=1)[:, clock.valid_rows(actions)]
+        return rows.reshape(count, len(keys), *rows.shape[1:])
+
+    command, reading, hidden = jax.tree.map(together, *kept)
+    recorded = LoopRecording(command, reading, hidden, None)
+    return cast(LoopRecording, jax.vmap(jax.vmap(_add_power))(recorded))
+
+
+@jit("low")
+def _start(plant: Plant, clock: ActionClock, keys: Key[Array, "runs"]) -> tuple[State, Measured]:
+    def one(key: Key[Array, ""]) -> tuple[State, Measured]:
+        state = plant.init(key)
+        return state, _measure_at_rest(plant, state, partial(_hold_once, plant, clock))
+
+    return jax.vmap(one)(keys)
+
+
+@jit("low")
+def _hold(
+    plant: Plant, clock: ActionClock, states: State, commands: Command, ticks: Ticks
+) -> tuple[State, Measured, Any]:
+    """Hold one command on each fin; also return its measurements, and the command, readings and
+    hidden quantities of each tick."""
+
+    def one(state: State, command: Command) -> tuple[State, Measured, Any]:
+        state, (reading, torque, hidden) = _hold_once(plant, clock, state, command, ticks)
+        held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x), command)
+        return state, _measured(reading, torque, ticks), (held, reading, hidden)
+
+    return jax.vmap(one)(states, commands)

@@ -16,6 +16,7 @@ from softfin.core.quantities import AXES, RATE_HZ, TICK_S, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.fin_figure import draw_fin
+from softfin.evaluation.frequency_response import ResponseRow
 from softfin.evaluation.headline import settling_time
 from softfin.evaluation.moving_references import MovingScores
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
@@ -88,6 +89,31 @@ def moving_figure(moving: MovingScores) -> Figure:
             title += f"; settling time: {settling}"
         titles.append(title)
     return experiments_figure(moving.recording, titles, moving.plan.seconds)
+
+
+def response_figure(motions: dict[str, list[ResponseRow]]) -> Figure:
+    """Draw the gain of the mean force, and the phase of the force without the averaging."""
+    with styled():
+        figure = new_figure(6.6, 2.8)
+        gain, phase = figure.subplots(1, 2)
+        for (name, rows), colour in zip(motions.items(), (BLUE, ORANGE), strict=True):
+            rates = [row["rate_hz"] for row in rows]
+            gain.plot(rates, [row["gain"] for row in rows], "o-", color=colour, label=name)
+            lags = {
+                row["rate_hz"]: row["force_phase_deg"]
+                for row in rows
+                if row["force_phase_deg"] is not None
+            }
+            unwrapped = np.unwrap(list(lags.values()), period=360)
+            phase.plot(list(lags), unwrapped, "o-", color=colour)
+        window_gain = [row["window_gain"] for row in rows]
+        gain.plot(rates, window_gain, "--", color=GREY, label="window alone")
+        gain.set(ylabel="gain of the mean force [-]", ylim=(0, None))
+        phase.set(ylabel="phase of the force [deg]")
+        for axes in (gain, phase):
+            axes.set(xscale="log", xlabel="rate of the reference [Hz]")
+        gain.legend()
+    return figure
 
 
 def _round_limits(low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "axes 2"]:

@@ -163,6 +163,36 @@ def evaluation_tables(summary: EvaluationSummary) -> str:
     return "\n".join(lines)
 
 
+def benchmark_table(summary: JsonObject) -> str:
+    """Return the scores of a benchmark."""
+    cases = summary["cases"]
+    constant = cases["references"]
+    decimals = error_decimals(constant)
+    name = summary["conditions"]["kind"] + " with feedback" * summary["conditions"]["feedback"]
+    lines = [table_two({f"{name}, benchmark {summary['protocol_version']}": constant})]
+    lines.append(moving_table(cases["moving"].get("rows", ()), decimals))
+    rows = [["other fins", "x error", "y error"]]
+    for row in cases["perturbed"]:
+        errors = [f"{row['mean'][axis]['error_n']:.{decimals}f}" for axis in AXES]
+        rows.append([f"  tanks perturbed by {row['width']:.0%}", *errors])
+    for row in cases["changed"]:
+        errors = [f"{rms_n:.{decimals}f}" for rms_n in row["rms_n"]]
+        rows.append([f"  changed fin, after {row['after_s']} s (rms)", *errors])
+    rows.append(["frequency response", "turn", "pulse", "window"])
+    responses = (cases["frequency"].get(motion, ()) for motion in ("turn", "pulse"))
+    for turn, pulse in zip(*responses, strict=True):
+        gains = [f"{row['gain']:.3f}, {row['phase_deg']:.0f} deg" for row in (turn, pulse)]
+        rows.append([f"  {turn['rate_hz']:g} Hz", *gains, f"{turn['window_gain']:.3f}"])
+    lines += aligned(rows)
+    for case in (cases["moving"], cases["frequency"]):
+        lines += [f"warning: {text}" for text in case.get("warnings", [case.get("not_covered")])]
+    if constant["warning"] is not None:
+        lines.append(f"warning: {constant['warning']}")
+    if not summary["is_standard"]:
+        lines.append("warning: the protocol was changed; do not compare these scores with others")
+    return "\n".join(lines)
+
+
 def moving_table(rows: Sequence[MovingRow], decimals: int) -> str:
     """Return one line per moving reference with the errors and the longest settling time over all
     seeds."""

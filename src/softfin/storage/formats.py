@@ -17,6 +17,7 @@ FOLDERS: Mapping[str, int] = {
     "controller": 3,
     "family": 1,
     "evaluation": 2,
+    "benchmark": 1,
     "calibration": 1,
     "reproduction": 1,
     "robot": 1,

@@ -170,6 +170,16 @@ def import_object(name: str) -> Any:
         return getattr(importlib.import_module(module), attribute)
 
 
+def build_object(name: str, protocols: "tuple[type, ...]") -> Any:
+    """Import ``package.module:attribute``, and call it if it is a class or a function rather than
+    an object with one of the protocols; raises any error that the module raises."""
+    found = import_object(name)
+    if isinstance(found, type) or (callable(found) and not isinstance(found, protocols)):
+        with _current_folder_on_path():
+            return found()
+    return found
+
+
 @contextmanager
 def _current_folder_on_path() -> Iterator[None]:
     # As with `python -m`, because users usually keep their own modules in the working directory.
@@ -185,14 +195,11 @@ def _import_plant(name: str, build: bool = False) -> Any:
     """Import ``package.module:attribute``. With `build`, return the plant, which is the attribute
     itself or the result of calling it."""
     try:
-        plant = import_object(name)
         if not build:
-            return plant
+            return import_object(name)
         from softfin.core.plant import Plant
 
-        if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
-            with _current_folder_on_path():
-                plant = plant()
+        plant = build_object(name, (Plant,))
     except Exception as error:
         # The user's code may raise any error.
         reason = one_line(error)

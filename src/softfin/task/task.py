@@ -120,7 +120,14 @@ class TaskConfig(Configuration):
     @property
     def observations(self) -> int:
         """Size of an observation."""
-        return PolicyObservation(past_actions=self.past_actions).size
+        return self.observation.size
+
+    @property
+    def observation(self) -> PolicyObservation:
+        """Definition of the observations."""
+        return PolicyObservation(
+            past_actions=self.past_actions, force_scale_n=self.force_scale_n, clock=self.clock
+        )
 
     def scaled(self, size: float) -> "TaskConfig":
         """Return the task for a fin of a different size, relative to the paper's fin; the
@@ -266,11 +273,9 @@ def observation(
 ) -> Float[Array, "observations"]:
     """Return [angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
     `force_scale_n`."""
-    part = PolicyObservation(
-        past_actions=config.past_actions, force_scale_n=config.force_scale_n, clock=config.clock
-    )
     now = jnp.concatenate([angle[None], reference])
-    return jnp.asarray(part.observe(jax_operations(), now, actions.reshape(-1)) / part.units())
+    flat = actions.reshape(-1)
+    return jnp.asarray(config.observation.observe_scaled(jax_operations(), now, flat))
 
 
 def command_to_action(limits: Limits, command: Command) -> Action:
