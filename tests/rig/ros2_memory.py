@@ -81,7 +81,6 @@ class MemoryTransport:
         self.sent_at = defaultdict(list)
         self.waiting = defaultdict(list)
         self.asked = defaultdict(list)
-        self.latched = {}
         self.deadlines = {}
         self.mismatched = defaultdict(int)
         self.readers = defaultdict(lambda: 1)
@@ -90,8 +89,7 @@ class MemoryTransport:
         self.closed = False
         self.failing = False
 
-    def publish(self, topic, kind, deadline_s=None, latched=False):
-        self.latched[topic] = latched
+    def publish(self, topic, kind, deadline_s=None):
         self.deadlines[topic] = deadline_s
 
         def send(data):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError, CoverageError, RigError
+from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
@@ -132,16 +132,8 @@ def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robo
     config = NodeConfig.of_fin("ucat/front_left")
     assert {value for name, value in config if name.endswith("_topic")} == {
         f"/ucat/front_left/{name}"
-        for name in (
-            "joint_states",
-            "wrench",
-            "command",
-            "reference",
-            "stop",
-            "stop_reason",
-            "current",
-        )
-    } | {"/diagnostics"}
+        for name in ("joint_states", "wrench", "command", "reference", "stop")
+    }
     assert config.connection.node == "ucat_front_left"
     assert config.reference_lost == "stop"
 
@@ -321,27 +313,3 @@ def test_twenty_different_remarks_are_reported_once_each_and_no_more():
         for number in range(30):
             once(f"remark {number}")
     assert reported == [f"remark {number}" for number in range(20)]
-
-
-def test_a_stop_is_reset_when_its_topic_no_longer_requests_it():
-    node = Node()
-    node.stop()
-    assert node.node.stop_reason() == "emergency stop on /fin/stop"
-    with pytest.raises(RigError, match="/fin/stop: still requests a stop; publish false"):
-        node.node.reset_stop()
-    node.stop(False)
-    node.node.reset_stop()
-    assert node.node.stop_reason() is None
-    node.stop()
-    assert node.node.stop_reason() == "emergency stop on /fin/stop"
-
-
-@pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched"])
-def test_an_unreadable_stop_is_reset_only_after_a_readable_message(offered):
-    node = Node()
-    node.transport.put("/fin/stop", b"\x00\x01\x00\x00", offered=offered)
-    with pytest.raises(RigError, match="publish false"):
-        node.node.reset_stop()
-    node.stop(False, offered)
-    node.node.reset_stop()
-    assert node.node.stop_reason() is None

@@ -86,13 +86,8 @@ class Transport(Protocol):
     notes: tuple[str, ...]
     """Notes for the user on the connection, one line each."""
 
-    def publish(
-        self, topic: str, kind: str, deadline_s: float | None = None, latched: bool = False
-    ) -> Publisher:
+    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """Create a publisher with the settings reliable, keep last 10 and volatile.
-
-        If it is `latched`, it keeps only its last message, also for later readers that request a
-        latched quality (transient local).
 
         With `deadline_s`, the publisher offers this deadline and manual-by-topic liveliness with
         the same lease [s]. The middleware of a reader can then report missing messages. Readers

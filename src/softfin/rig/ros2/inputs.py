@@ -4,7 +4,7 @@ is reported only once."""
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from softfin.core.errors import DeviceError, RigError
+from softfin.core.errors import DeviceError
 from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 
 InputValue = TypeVar("InputValue")
@@ -95,8 +95,6 @@ class EmergencyStop:
             for quality in QUALITIES
         }
         self._reason: str | None = None
-        self._requesting: set[Quality] = set()
-        """Readers whose latest message requests a stop."""
 
     @property
     def refused(self) -> int:
@@ -107,7 +105,9 @@ class EmergencyStop:
         """Return the reason for a permanent stop; None if none was requested."""
         if self._reason is None:
             try:
-                self._reason = next(filter(None, map(self._read_stop, QUALITIES)), None)
+                self._reason = next(
+                    filter(None, map(self._read_stop, self._subscriptions.values())), None
+                )
                 # Only this reader must match every publisher, because it requests the lowest
                 # quality.
                 if self._subscriptions["best_effort"].mismatched():
@@ -121,24 +121,9 @@ class EmergencyStop:
                 self._reason = f"emergency stop cannot be received: {error}"
         return self._reason
 
-    def reset(self) -> None:
-        """Cancel the stop; raises RigError if the latest message still requests it, and DeviceError
-        if no messages can be received."""
-        for quality in QUALITIES:
-            self._read_stop(quality)
-        if self._requesting:
-            raise RigError(f"{self._topic}: still requests a stop; publish false on it first")
-        self._reason = None
-
-    def _read_stop(self, quality: Quality) -> str | None:
-        subscription = self._subscriptions[quality]
+    def _read_stop(self, subscription: Subscription[bool]) -> str | None:
         refused = subscription.refused
-        stops = [stop for _, stop in subscription.take()]
-        if subscription.refusal is not None or (stops and stops[-1]):
-            self._requesting.add(quality)
-        elif stops:
-            self._requesting.discard(quality)
-        if any(stops):
+        if any(stop for _, stop in subscription.take()):
             return f"emergency stop on {self._topic}"
         # A readable message does not cancel an earlier unreadable one.
         if subscription.refused > refused:

@@ -8,23 +8,16 @@ import functools
 import time
 from collections.abc import Callable
 
-from softfin.control.feedback import Estimate
 from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import (
-    Publisher,
-    Subscription,
-    Transport,
-    read_reference_message,
-)
-from softfin.rig.ros2.diagnostics import DIAGNOSTICS, FinDiagnostics, encode_diagnostics
+from softfin.rig.ros2.connection import Subscription, Transport, read_reference_message
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
-from softfin.rig.session import MeasuredForce, SessionState
+from softfin.rig.session import MeasuredForce
 from softfin.rig.stop import StopRequest
-from softfin.storage.bag.messages import FLOAT, JOINT_STATE, STRING, WRENCH_STAMPED, cdr
+from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
 REFERENCE_LIMIT_N = 20.0
 """Default of `NodeConfig.reference_limit_n` for the paper's fin [N]."""
@@ -49,11 +42,9 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None),
         clock: Callable[[], float] = time.monotonic,
         default_limit_n: float = REFERENCE_LIMIT_N,
-        torque_constant_nm_a: float | None = None,
     ) -> None:
         """Connect. `report` receives each note for the user only once; `resolve` maps a reference
-        to the tracked reference; `default_limit_n` applies if `topics` has no limit;
-        `torque_constant_nm_a` is None if the motor torque is unknown."""
+        to the tracked reference; `default_limit_n` applies if `topics` has no limit."""
         self.config = topics
         self._limit_n = topics.reference_limit_n or default_limit_n
         self._report_once = OnceReporter(report)
@@ -62,13 +53,6 @@ class RosNode:
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
-        self._current = transport.publish(topics.current_topic, FLOAT)
-        self._stop_reason = transport.publish(topics.stop_reason_topic, STRING, latched=True)
-        self._diagnostics = transport.publish(topics.diagnostics_topic, DIAGNOSTICS)
-        self._torque_constant = torque_constant_nm_a
-        self._collected = FinDiagnostics(clock)
-        # The topic of the joint starts with the name of the fin.
-        self._source = topics.joint_topic.strip("/").rpartition("/")[0] or topics.joint_name
         subscription = Subscription(
             transport, topics.reference_topic, WRENCH_STAMPED, self._tracked, stamped=False
         )
@@ -80,7 +64,6 @@ class RosNode:
         self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
         self._published: Target | None = None
         self._unsent = 0
-        self.announce("inactive")
 
     def publish(self, sample: Sample, target: Target | None) -> None:
         """Publish one sample, and the command if it is new, and count samples that cannot be
@@ -91,12 +74,7 @@ class RosNode:
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
         try:
-            joint = [sample.angle, sample.velocity]
-            if sample.current is not None:
-                self._current.send(cdr(FLOAT, stamp, (sample.current,)))
-                if self._torque_constant is not None:
-                    joint.append(self._torque_constant * sample.current)
-            self.joint.send(cdr(JOINT_STATE, stamp, joint, frame, name))
+            self.joint.send(cdr(JOINT_STATE, stamp, (sample.angle, sample.velocity), frame, name))
             self._wrench.send(cdr(WRENCH_STAMPED, force_stamp, sample.wrench, frame))
             if target is not None and target != self._published:
                 self._command.send(cdr(JOINT_STATE, stamp, target, frame, name))
@@ -109,33 +87,6 @@ class RosNode:
         """Return the latest reference; if it has expired, zero force or None, as configured."""
         newest = self._references.newest()
         return self._no_force if newest is None and self._references.is_lost else newest
-
-    def announce(self, state: SessionState, reason: str = "") -> None:
-        """Publish a new state of the fin, with the reason if it was stopped."""
-        self._collected.state = state
-        self._collected.reason = reason
-        self._send_rarely(self._stop_reason, cdr(STRING, 0, reason))
-        self.diagnose()
-
-    def diagnose(self) -> None:
-        """Publish the diagnostics of the last second."""
-        statuses = self._collected.take()
-        self._send_rarely(
-            self._diagnostics, encode_diagnostics(time.time_ns(), self._source, statuses)
-        )
-
-    def diagnose_if_due(self) -> None:
-        """Publish the diagnostics if the last ones are one second old."""
-        if self._collected.is_due():
-            self.diagnose()
-
-    def note_estimate(self, estimate: Estimate | None) -> None:
-        """Include an estimate of the feedback in the diagnostics."""
-        self._collected.estimate = estimate
-
-    def reset_stop(self) -> None:
-        """Cancel a stop of the topic; raises RigError if it still requests the stop."""
-        self._stop.reset()
 
     def stop_reason(self) -> str | None:
         """Return the reason for a permanent stop, which may be an unreadable message; None while no
@@ -160,10 +111,6 @@ class RosNode:
             )
             request.ask("reference_lost", reason)
         self.publish(sample, target)
-        if target is not None and self._collected.state == "inactive":
-            self.announce("active")
-        self._collected.add(sample)
-        self.diagnose_if_due()
 
     def counters(self) -> dict[str, int]:
         """Return the numbers of received references, rejected references and stops, and unsent
@@ -175,13 +122,6 @@ class RosNode:
             "stops_refused": self._stop.refused,
             "unsent": self._unsent,
         }
-
-    def _send_rarely(self, publisher: Publisher, data: bytes) -> None:
-        """Send a message that is not a sample."""
-        try:
-            publisher.send(data)
-        except DeviceError as error:
-            self._report_once(str(error))
 
     def _tracked(self, message: object) -> MeasuredForce:
         """Return the tracked reference for a message; raises ValueError if it is rejected."""

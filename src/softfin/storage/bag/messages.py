@@ -72,9 +72,6 @@ FIELDS = {
 """Paths of the values in each message: angle and velocity [rad, rad/s], force and torque [N, N m],
 current [A]."""
 
-OPTIONAL_FIELDS = {JOINT_STATE: ("effort.0",)}
-"""Paths of further values, which are missing if unknown: torque of the motor [N m]."""
-
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
@@ -105,7 +102,7 @@ def cdr(
     """
     if isinstance(values, str):
         return serialized(kind, {"data": values.encode(errors="replace").decode()})
-    blank, places = _template(kind, frame, joint, len(values) > len(FIELDS[kind]))
+    blank, places = _template(kind, frame, joint)
     data = bytearray(blank)
     if kind != FLOAT:
         _STAMP.pack_into(data, _STAMP_BYTE, *divmod(stamp_ns, SECOND_NS))
@@ -115,14 +112,12 @@ def cdr(
 
 
 @cache
-def _template(kind: str, frame: str, joint: str, complete: bool) -> tuple[bytes, tuple[int, ...]]:
-    """Return a message serialised by rosbags, and the byte offsets of its values, with the optional
-    values if it is `complete`."""
+def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
+    """Return a message serialised by rosbags, and the byte offsets of its values."""
     # Each value gets its own marker (1, 2 and so on), whose bytes are searched for to find the
     # offset.
-    paths = FIELDS[kind] + (OPTIONAL_FIELDS.get(kind, ()) if complete else ())
-    marks = range(1, 1 + len(paths))
-    values: dict[str, object] = dict(zip(paths, marks, strict=True))
+    marks = range(1, 1 + len(FIELDS[kind]))
+    values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
     if kind != FLOAT:
         values["header.frame_id"] = frame
     if kind == JOINT_STATE:
