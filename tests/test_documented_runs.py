@@ -78,6 +78,7 @@ IN_THE_DAY = (
 
 ELSEWHERE = {
     "demo": "tests/cli/test_demo.py",
+    "benchmark gaits --feedback --out benchmark": "tests/evaluation/test_benchmark.py",
     "benchmark hand-gaits --plant examples/fins/hand.yaml --out benchmark-hand": "tests/evaluation/test_benchmark.py",
     "rig stop": "tests/cli/test_rig.py",
     "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
