@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 from PIL import Image
+from safetensors.numpy import load_file
 
 import softfin
 from softfin.control.controller import Measured
@@ -328,9 +329,9 @@ def force_map(figure: Figure) -> None:
         linewidth=1.6,
         label="edge of the reachable forces",
     )
-    scores = gaits.artifact.description["scores"]
-    nodes = np.array([score["reference_n"] for score in scores])
-    held = np.array([score["missed_n"] for score in scores]) <= 0.1
+    nodes = gaits.step.table.references().reshape(-1, 2)
+    force = load_file(EXAMPLE / "gaits" / "weights.safetensors")["force_n"].reshape(-1, 2)
+    held = np.linalg.norm(force - nodes, axis=-1) <= 0.1
     axes.plot(
         *nodes[held].T,
         "o",

@@ -296,7 +296,7 @@ def evidence() -> Iterator[str]:
             f"## {record['title']}",
             "",
             # The age would change with every commit; `python -m results --list` prints it.
-            f"{re.sub('; [0-9,]+ commits? old on [0-9-]+', '', source(file.stem, record))}. "
+            f"{re.sub('; ([0-9,]+ commits? old on [0-9-]+|age unknown)', '', source(file.stem, record))}. "
             f"{_versions(record)}",
             "",
         )

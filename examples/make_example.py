@@ -142,11 +142,13 @@ def readme(description: dict[str, Any]) -> str:
     )
     row = description["errors"]["gaits"]
     origin = description["provenance"]
+    again = origin.get("feedback_measured", "")
+    later = again and f"; the errors with feedback were measured again at commit {again}"
     references = ", ".join("({:g}, {:g})".format(*reference) for reference in row["references_n"])
     commands = "\n".join(f"    {command}" for command in description["commands"])
     return f"""# An example of the virtual tank
 
-Trained already, small, and of softfin's virtual tank, not of a real fin.
+Small pre-trained controllers for the virtual tank, not for a real fin.
 
 | folder | |
 | --- | --- |
@@ -167,15 +169,15 @@ Try them:
 
 Error of the true mean force in the tank, x / y in N: mean of |moving average over 200 samples - reference| over
 {row["duration_s"]} s from rest, at the references {references}. ± is half of the 95% interval over {row["seeds"]} seeds
-of the sensor's noise and drift. Without force feedback a controller does not use the sensor, so that its true error is
-the same at every seed; other logs and trainings would change it.
+of the sensor's noise and drift. Without feedback a controller does not use the sensor, so its true error is
+the same for every seed. Other logs or training runs would give a different error.
 
-| | error | with force feedback (`--feedback`) |
+| | error | with feedback (`--feedback`) |
 | --- | --- | --- |
 {table}
 
-Made by `examples/make_example.py` of softfin's repository with these commands (softfin {origin["softfin"]}, commit
-{origin["git_commit"]}, {origin["created"][:10]}):
+`examples/make_example.py` made this folder with these commands (softfin {origin["softfin"]}, commit
+{origin["git_commit"]}, {origin["created"][:10]}){later}:
 
 {commands}
 """

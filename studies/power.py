@@ -45,7 +45,8 @@ target, because a smaller force always costs less."""
 
 TANK = Tank()
 KEYS = jax.random.split(jax.random.key(0), 1)
-STYLES = ("o-", "s--", "^-", "v--")
+STYLES = ("o-", "s--", "^", "v")
+"""Policies miss their references by various forces, so no line joins these."""
 
 
 class Runs(NamedTuple):

@@ -256,7 +256,7 @@ def power(seeds: Sequence[int]) -> Part:
         logs = dataset(seed, "torque-logs", "--channels true")
         model = f"torque-{seed}"
         steps += [logs, step(model, f"softfin fit {logs.name} --seed {seed}", 3, seed, TINY_NETS)]
-        unseen = dataset(700 + seed, "torque-logs", "--channels true")
+        unseen = dataset(700 + seed, "torque-logs", "--channels true")._replace(seed=seed)
         name = f"power-{model}"
         predicted.append(
             step(name, f"python -m results.scripts power {model} {unseen.name} {name}", 0.5, seed)

@@ -116,8 +116,8 @@ class JaxOperations(Operations):
             rows = (rows - rows[:, k, None] * row).at[k].set(row)
             return rows, logarithm + xp.log(xp.abs(pivot))
 
-        start = (xp.concatenate([system, right], axis=1), xp.zeros((), system.dtype))
-        rows, logarithm = self._loop(0, size, eliminate, start)
+        both = xp.concatenate([system, right], axis=1)
+        rows, logarithm = self._loop(0, size, eliminate, (both, xp.zeros((), both.dtype)))
         return rows[:, size:], logarithm
 
     def whole(self, number: Number) -> Number:
