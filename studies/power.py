@@ -2,7 +2,7 @@
 LABEL=CONTROLLER ...``, with the cheapest sines of the shaft and the T200 thruster.
 """
 
-import sys
+import argparse
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
@@ -138,8 +138,15 @@ def draw(controllers: Mapping[str, LoadedController], sines: Runs) -> Figure:
     return figure
 
 
-if __name__ == "__main__":
-    target, *named = sys.argv[1:]
-    labels, folders = zip(*(each.split("=") for each in named), strict=True)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("png", type=Path)
+    parser.add_argument("controllers", nargs="+", metavar="LABEL=CONTROLLER")
+    words = parser.parse_args()
+    labels, folders = zip(*(each.split("=") for each in words.controllers), strict=True)
     controllers = dict(zip(labels, map(load_controller, map(Path, folders)), strict=True))
-    save_figure(draw(controllers, run_sines()), Path(target))
+    save_figure(draw(controllers, run_sines()), words.png)
+
+
+if __name__ == "__main__":
+    main()

@@ -9,7 +9,7 @@ program, which records every tick of 10 ms.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -370,7 +370,7 @@ def _run_in_python(
 
     command, reading, hidden = jax.tree.map(together, *kept)
     recorded = LoopRecording(command, reading, hidden, None)
-    return cast(LoopRecording, jax.vmap(jax.vmap(_add_power))(recorded))
+    return jax.vmap(jax.vmap(_add_power))(recorded)
 
 
 @jit("low")
