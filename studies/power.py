@@ -143,8 +143,10 @@ def main() -> None:
     parser.add_argument("png", type=Path)
     parser.add_argument("controllers", nargs="+", metavar="LABEL=CONTROLLER")
     words = parser.parse_args()
-    labels, folders = zip(*(each.split("=") for each in words.controllers), strict=True)
-    controllers = dict(zip(labels, map(load_controller, map(Path, folders)), strict=True))
+    controllers = {}
+    for each in words.controllers:
+        label, _, folder = each.partition("=")
+        controllers[label] = load_controller(Path(folder))
     save_figure(draw(controllers, run_sines()), words.png)
 
 

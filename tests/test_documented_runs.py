@@ -86,6 +86,7 @@ ELSEWHERE = {
     "rig emulate --real-time": "tests/test_wheel.py",
     "rig check --prove --moving --arm": "tests/rig/test_prove_moving.py",
     "monitor dataset-bags": "tests/cli/test_monitor.py",
+    "benchmark entry:policy --out benchmark": "tests/evaluation/test_benchmark.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "map examples/fins/turning.yaml --out gaits": "tests/end_to_end/test_stages.py",
     "robot evaluate ucat gaits --plant examples/fins/turning.yaml --max-thrust 3 --out robot": "tests/cli/test_robot.py",

@@ -30,6 +30,11 @@ class Loaded(Covering):
     kind = "single"
     limits = PAPER_LIMITS
 
+    def act(self, state, measured, reference):
+        state, command = super().act(state, measured, reference)
+        # With feedback, the reference is corrected.
+        return state, command._replace(velocity=min(command.velocity, PAPER_LIMITS.velocity_max))
+
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):

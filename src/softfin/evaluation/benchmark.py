@@ -27,7 +27,7 @@ from softfin.task.signals import Recorded, step
 PROTOCOL_VERSION = 1
 """Number of the default protocol; any change of its values or of a score increases it."""
 
-STEPS = ((2, 3), (0, 2), (1, 5), (3, 0))
+STEP_ENDS = ((2, 3), (0, 2), (1, 5), (3, 0))
 """Start and end of the steps, as indices of the six references."""
 
 Vector = Float[np.ndarray, "2"]
@@ -166,7 +166,7 @@ def _moving(
     seconds = protocol.seconds
     centre, radius_n = _circle(references)
     x, y = radius_n * np.eye(2)
-    steps = [step(tuple(references[i]), tuple(references[j]), seconds / 2) for i, j in STEPS]
+    steps = [step(tuple(references[i]), tuple(references[j]), seconds / 2) for i, j in STEP_ENDS]
     turns = [_orbit(centre, x, way * y, 1 / seconds, seconds) for way in (1, -1)]
     plan = MovingPlan.of("moving", controller, (*steps, *turns), seconds)
     rows = plan.score(run(controller, tank, plan.tracked, seconds, keys)).rows()
