@@ -263,14 +263,15 @@ def power(seeds: Sequence[int]) -> Part:
         )
         steps += [unseen, predicted[-1]]
         options, minutes = POLICIES["single-ppo"]
-        in_reward = f"--task.reward.power {WEIGHT}"
-        whole = ("", f" --power {WEIGHT}")
-        for kind, more in zip(("gaits", "gaits-power"), whole, strict=True):
-            name = f"{kind}-{model}"
-            controllers[kind].append(step(name, f"softfin map {model}{more}", 2, seed, TINY_MAP))
-        for kind, more in (("single", ""), ("single-power", in_reward)):
-            found = train(kind, f"{options} {more}", model, seed, minutes)
-            controllers[kind].append(found)
+        for ending, weight, in_reward in (
+            ("", "", ""),
+            ("-power", f" --power {WEIGHT}", f" --task.reward.power {WEIGHT}"),
+        ):
+            kind = f"gaits{ending}"
+            search = step(f"{kind}-{model}", f"softfin map {model}{weight}", 2, seed, TINY_MAP)
+            controllers[kind].append(search)
+            kind = f"single{ending}"
+            controllers[kind].append(train(kind, options + in_reward, model, seed, minutes))
     judged = {
         kind: [evaluate(each, "tank", "power", "", 0.5) for each in those]
         for kind, those in controllers.items()
