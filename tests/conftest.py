@@ -94,8 +94,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that writes the files of help texts anew."""
-    parser.addoption("--rewrite", action="store_true", help="write the help of commands anew")
+    """Add the option that writes files of expected text anew."""
+    parser.addoption("--rewrite", action="store_true", help="write files of expected text anew")
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -4,6 +4,7 @@
 import json
 from collections.abc import Callable, Sequence
 
+from results.parts.benchmark import benchmark, fins
 from results.parts.common import (
     TORQUE_ONLY,
     Figures,
@@ -171,6 +172,8 @@ PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "data-efficiency": data_efficiency,
     "tank": tank,
     "demo": demo,
+    "benchmark": benchmark,
+    "fins": fins,
     "rig-day": rig_day,
     "robot": robot,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},

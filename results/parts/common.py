@@ -99,10 +99,11 @@ PUBLISHED = step(
 
 
 def dataset(seed: int, name: str = "dataset", options: str = "") -> Step:
-    """The paper's number of logs of the tank."""
+    """Logs of a tank; by default, the paper's number of logs of the default tank."""
+    options = options if "--plant" in options else f"--plant tank {options}"
     return step(
         f"{name}-{seed}",
-        f"softfin collect --plant tank {options} --seed {seed}",
+        f"softfin collect {options} --seed {seed}",
         0.5,
         seed,
         "--logs 12 --test-logs 1 --rows 1500",
@@ -211,10 +212,10 @@ TORQUE_ONLY = "--feedback --feedback.uses torque"
 """Options of feedback without a force sensor."""
 
 
-def find_family(controller: Step, folder: str = "") -> Step:
-    """Search for the family of a controller in the tank, which is written into the folder of the
+def find_family(controller: Step, folder: str = "", plant: str = "--plant tank") -> Step:
+    """Search for the family of a controller in a tank, which is written into the folder of the
     controller; `folder` is its path below the result of the step."""
-    words = ("softfin", "family", f"{controller.name}{folder}", "--plant", "tank")
+    words = ("softfin", "family", f"{controller.name}{folder}", *plant.split())
     tiny = ("--fins", "20", "--nodes", "3", "--nominal-nodes", "3")
     return Step(_family_name(controller.name), words, 1.5, controller.seed, tiny)
 
