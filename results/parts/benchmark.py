@@ -37,6 +37,9 @@ PAPER_PPO = {
 }
 """The paper's rollouts and epochs."""
 
+RATES_HZ = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 0.9)
+"""Rates of the frequency response in the table."""
+
 FINS = ("hand", "vehicle")
 """Fins of `examples/fins/`."""
 
@@ -173,6 +176,22 @@ def _changed_n(after_s: int) -> Callable[[Mapping[str, Any]], Value]:
     return find
 
 
+def _response(motion: str, rate_hz: float, name: str) -> Callable[[Mapping[str, Any]], Value]:
+    """Gain, or phase within half a turn of that of the window, so that seeds have a mean."""
+
+    def find(cases: Mapping[str, Any]) -> Value:
+        rows = {row["rate_hz"]: row for row in cases["frequency"].get(motion, ())}
+        if rate_hz not in rows:
+            return None
+        row = rows[rate_hz]
+        if name == "gain":
+            return row["gain"]
+        lag_deg = (row["phase_deg"] - row["window_phase_deg"] + 180) % 360 - 180
+        return row["window_phase_deg"] + lag_deg
+
+    return find
+
+
 SCORES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Value]]] = {
     "error": ("N", lambda cases: pair(cases["references"]["mean"])),
     "std": ("N", lambda cases: pair(cases["references"]["mean"], "std_n")),
@@ -185,5 +204,11 @@ SCORES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Value]]] = {
     "changed-0": ("N", _changed_n(0)),
     "changed-6": ("N", _changed_n(6)),
     "changed-20": ("N", _changed_n(20)),
+    **{
+        f"{motion}.{name}.{rate_hz:g}": (unit, _response(motion, rate_hz, name))
+        for motion in ("turn", "pulse")
+        for name, unit in (("gain", ""), ("phase", "deg"))
+        for rate_hz in RATES_HZ
+    },
 }
 """Unit of each score, and where it is in the cases of a ``benchmark.json``."""
