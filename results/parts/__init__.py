@@ -4,7 +4,7 @@
 import json
 from collections.abc import Callable, Sequence
 
-from results.parts.benchmark import benchmark, fins
+from results.parts.benchmark import benchmark, benchmark_recurrent, fins
 from results.parts.common import (
     TORQUE_ONLY,
     Figures,
@@ -173,6 +173,7 @@ PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "tank": tank,
     "demo": demo,
     "benchmark": benchmark,
+    "benchmark-recurrent": benchmark_recurrent,
     "fins": fins,
     "rig-day": rig_day,
     "robot": robot,
