@@ -65,6 +65,16 @@ def test_the_public_names_are_those_on_file(request):
     assert lines == FROZEN.read_text().splitlines()
 
 
+def test_every_public_function_has_its_parameters_and_one_example():
+    functions = [getattr(softfin, name) for name in softfin.__all__]
+    functions += [getattr(softfin.testing, name) for name in softfin.testing.__all__]
+    for function in filter(inspect.isfunction, functions):
+        text = inspect.getdoc(function)
+        assert text.count("\nExample:\n    >>> ") == 1, function
+        for name in set(inspect.signature(function).parameters) - {"progress"}:
+            assert re.search(rf"^    \*?{name}: ", text, re.MULTILINE), (function, name)
+
+
 def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
     """Gymnasium may be absent."""
     code = (
