@@ -2,12 +2,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from studies.benchmark_rows import FREQUENCY_HZ, AmplitudeLaw, SineTable, Still
+from studies.open_loop import ShaftSine, inverse
 
 from softfin.control.controller import Controller, Measured
 from softfin.core.errors import CoverageError
 from softfin.tank import Tank
-from studies.benchmark_rows import FREQUENCY_HZ, AmplitudeLaw, SineTable, Still
-from studies.open_loop import ShaftSine, inverse
 
 LIMITS = Tank().limits
 REST = Measured(0.0, jnp.zeros(2))
