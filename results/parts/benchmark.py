@@ -12,6 +12,7 @@ from results.parts.common import (
     dataset,
     find_family,
     find_gaits,
+    find_gaits_at,
     make_controller,
     names_of,
     pair,
@@ -65,6 +66,8 @@ def benchmark(seeds: Sequence[int]) -> Part:
             kind: _other(kind, surrogate, (surrogate,)) for kind in ("law", "sine")
         }
         own |= _with_gaits(surrogate, gaits, "--plant tank")
+        faster = find_gaits_at("6,1", surrogate.name, seed)
+        own["gaits-6-1"] = Row(_judge(faster), (surrogate, faster))
         policies = {kind: make_controller(kind, surrogate.name, seed) for kind in BUDGETS}
         for kind, budgets in BUDGETS.items():
             policies |= {
@@ -184,17 +187,16 @@ def _changed_n(after_s: int) -> Callable[[Mapping[str, Any]], Value]:
 
 
 def _response(motion: str, rate_hz: float, name: str) -> Callable[[Mapping[str, Any]], Value]:
-    """Gain, or phase within half a turn of that of the window, so that seeds have a mean."""
+    """Gain or phase of the force without the averaging; phases that lag by half a turn are on the
+    same side, so that seeds have a mean."""
 
     def find(cases: Mapping[str, Any]) -> Value:
         rows = {row["rate_hz"]: row for row in cases["frequency"].get(motion, ())}
         if rate_hz not in rows:
             return None
-        row = rows[rate_hz]
         if name == "gain":
-            return row["gain"]
-        lag_deg = (row["phase_deg"] - row["window_phase_deg"] + 180) % 360 - 180
-        return row["window_phase_deg"] + lag_deg
+            return rows[rate_hz]["force_gain"]
+        return (rows[rate_hz]["force_phase_deg"] + 270) % 360 - 270
 
     return find
 

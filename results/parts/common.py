@@ -171,6 +171,12 @@ def find_gaits(surrogate: str, seed: int | None, options: str = PAPER_BOX) -> St
     return step(f"gaits-{surrogate}", f"softfin map {surrogate} {options}", 0.8, seed, TINY_MAP)
 
 
+def find_gaits_at(clock: str, surrogate: str, seed: int) -> Step:
+    """Search for gaits with another action rate and window, such as ``6,1``."""
+    name = f"clock-{clock.replace(',', '-')}-{surrogate}"
+    return step(name, f"softfin map {surrogate} --clock {clock}", 2, seed, TINY_MAP)
+
+
 def train(kind: str, options: str, surrogate: str, seed: int, minutes: float) -> Step:
     """Training of policies."""
     name = f"{kind}-{surrogate}"
