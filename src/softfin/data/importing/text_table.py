@@ -251,4 +251,6 @@ def _read_columns(
         raise LogError(
             f"{path}: not a table ({one_line(error)}); use a CSV file with one line per row"
         ) from None
+    # Arrow would keep the memory in which it found the cells.
+    pa.default_memory_pool().release_unused()
     return table.columns, dropped
