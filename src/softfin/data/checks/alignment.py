@@ -54,8 +54,8 @@ MIN_ALIGNED_S = 10
 """Shortest recording from which the force lag and the force axes are estimated [s]."""
 
 
-# The first and last of the seven weights are 0.
-HANN_WEIGHTS = np.hanning(7)[1:-1] / np.hanning(7).sum()
+# The sum of the seven weights is 3, and the first and the last are 0.
+HANN_WEIGHTS = np.hanning(7)[1:-1] / 3
 """Weights of `smoothed`."""
 
 

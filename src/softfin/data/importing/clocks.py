@@ -213,8 +213,9 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
             fix = f"these rows are dropped, and gaps over {config.gap_s:g} s split the log"
             severity = row_severity(bad.size, len(values))
             issues.append(Issue(severity, "not a number", name, message, fix, channel, int(bad[0])))
-    rows = np.flatnonzero(is_finite)
-    return track.take(is_finite) if issues else track, rows, issues
+    # A selection of all rows would copy them.
+    finite = track.take(is_finite) if issues else track
+    return finite, np.flatnonzero(is_finite), issues
 
 
 def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, list[Issue]]:
@@ -439,16 +440,12 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
 def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
     """Return the rows unchanged if all tracks share a clock that is valid for a log; otherwise
     None."""
-    if len(tracks) > 1:
-        return None
-    (track,) = tracks
-    rows = (track.time >= span[0]) & (track.time <= span[1])
-    time = track.time[rows]
+    time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
     try:
         check_columns({"time_s": time}, "")
     except LogError:
         return None
-    return {"time": time, **track.take(rows).channels}
+    return {"time": time, **channels} if len(tracks) == 1 else None
 
 
 def _further_channels(
@@ -521,17 +518,13 @@ def interpolated(
         half = round(KERNEL_S / 2 / step)
         offset = np.arange(-half, half + 1) * step
         # The ideal low-pass sin(2 pi f t) / (2 pi f t) times a Hann window cos^2 that ends just
-        # outside the kernel.
+        # outside the kernel. Near the ends, only the weights of existing samples are summed.
         kernel = (
             np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
         )
         if len(values) < len(kernel):
             return np.full_like(grid, values.mean())
-        # Near the ends, only the weights of existing samples are summed.
-        sums = np.cumsum(kernel)
-        weight = np.full(len(values), sums[-1])
-        weight[:half] = sums[half:-1]
-        weight[-half:] = sums[-2 : half - 1 : -1]
+        weight = np.convolve(np.ones_like(values), kernel, "same")
         time = even
         values = np.convolve(values, kernel, "same") / weight
     return np.asarray(np.interp(grid, time, values))
