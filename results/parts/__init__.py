@@ -48,6 +48,7 @@ BENCHMARKS = {
     "cells": (3, 3),
     "compile": (6, 1),
     "memory": (6, 1),
+    "logs": (3, 3),
     "controller_step": (1, 5),
     "recording": (1, 5),
     "rig": (3, 3),
