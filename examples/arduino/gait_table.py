@@ -20,17 +20,20 @@ AT_REST = Measured(np.float32(0), np.zeros(2, np.float32))
 """A gait ignores the measurements."""
 
 
-def gait_decidegrees(controller: Any, force_n: tuple[float, float], centre_deg: float) -> list[int]:
-    """Return the commanded angles of one period of a gait, as the servo counts them."""
+def gait_decidegrees(
+    controller: Any, force_n: tuple[float, float], centre_deg: float, sign: int = 1
+) -> list[int]:
+    """Return the commanded angles of one period of a gait, as the servo counts them; `sign` is -1 if
+    positive angles of the fin decrease the servo angle."""
     state = controller.init()
     angles = []
     for _ in range(controller.clock.window_actions):
         state, command = controller.act(state, AT_REST, np.asarray(force_n))
-        angles.append(round(10 * (centre_deg + np.rad2deg(command.angle))))
+        angles.append(round(10 * (centre_deg + sign * np.rad2deg(command.angle))))
     return angles
 
 
-def header(controller: Any, forces_per_axis: int, centre_deg: float) -> str:
+def header(controller: Any, forces_per_axis: int, centre_deg: float, sign: int = 1) -> str:
     """Return the text of gaits.h, with the reachable forces of a square lattice."""
     forces = [
         force
@@ -39,7 +42,7 @@ def header(controller: Any, forces_per_axis: int, centre_deg: float) -> str:
     ]
     rows = []
     for number, force in enumerate(forces, 1):
-        angles = gait_decidegrees(controller, force, centre_deg)
+        angles = gait_decidegrees(controller, force, centre_deg, sign)
         if not 0 <= min(angles) <= max(angles) <= MAX_DECIDEGREES:
             sys.exit(
                 "gait_table.py: angles outside 0 to 180 degrees; set --centre to the servo angle at which the fin points along -x"
@@ -70,7 +73,12 @@ def main() -> None:
     parser.add_argument("gaits", type=Path, help="controller folder of softfin map")
     parser.add_argument("out", type=Path, help="header file to write")
     parser.add_argument("--forces", type=int, default=7, help="target forces along each axis")
-    parser.add_argument("--centre", type=float, default=90, help="servo angle at angle 0 [deg]")
+    parser.add_argument(
+        "--centre", type=float, default=90, help="servo angle at angle 0 [deg], as in --angle-zero"
+    )
+    parser.add_argument(
+        "--negate", action="store_true", help="if the logs were read with --negate angle"
+    )
     arguments = parser.parse_args()
     controller = softfin.load_controller(arguments.gaits)
     if controller.kind != "gaits":
@@ -79,10 +87,20 @@ def main() -> None:
         )
     if controller.limits.velocity_min < controller.limits.velocity_max:
         print(
-            "warning: these gaits also command velocities, which a hobby servo cannot follow",
+            "warning: these gaits also command velocities, which a hobby servo cannot follow; fit with "
+            "--velocity instead of a column of velocities",
             file=sys.stderr,
         )
-    arguments.out.write_text(header(controller, arguments.forces, arguments.centre))
+    sign = -1 if arguments.negate else 1
+    text = header(controller, arguments.forces, arguments.centre, sign)
+    arguments.out.write_text(text)
+    way = "decrease" if arguments.negate else "increase"
+    print(
+        f"{arguments.out}: {text.count(' N')} gaits; the fin's angle 0 is servo angle "
+        f"{arguments.centre:g} degrees, and positive angles {way} the servo angle. If the logs were "
+        "read with another --angle-zero, or with --negate, use --centre or --negate here; otherwise "
+        "the fin pushes the wrong way"
+    )
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ the side load cell is mounted the wrong way round.
 
 import argparse
 import csv
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=90)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
+    if any(arguments.out.glob("run*.csv")):
+        sys.exit(f"{arguments.out}: contains runs; choose a different folder")
     plant = softfin.find_plant(str(HAND))
     moved = jax.jit(lambda angles, seed: move(plant, angles, seed))
     arguments.out.mkdir(parents=True, exist_ok=True)
