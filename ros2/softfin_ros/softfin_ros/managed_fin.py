@@ -36,6 +36,7 @@ class ManagedFin:
         self._emergency_stop = emergency_stop
         self._status = status
         self._driven: NodeDrive | None = None
+        self._recordings = Path()
         self._changed = threading.Condition()
         """Guards the attributes below."""
         self._request = StopRequest()

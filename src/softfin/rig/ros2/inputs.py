@@ -116,12 +116,12 @@ class EmergencyStop:
     def stop(self, reason: str) -> None:
         """Remember a stop for a reason other than the topic."""
         with self._lock:
-            known = self._reason or ""
+            earlier = self._reason or ""
             # The outcome of a stop contains its reason; a repeated stop adds nothing.
-            if known in reason:
+            if earlier in reason:
                 self._reason = reason
-            elif reason not in known:
-                self._reason = f"{known}; {reason}"
+            elif reason not in earlier:
+                self._reason = f"{earlier}; {reason}"
 
     def reset(self) -> None:
         """Forget the stop; raises RigError if the latest message still requests one or if no
