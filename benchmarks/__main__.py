@@ -16,6 +16,7 @@ NAMES = (
     "cells",
     "compile",
     "memory",
+    "logs",
     "controller_step",
     "recording",
     "rig",

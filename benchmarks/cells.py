@@ -10,11 +10,11 @@ from typing import Any
 
 import jax
 
+from benchmarks.controllers import PAPER_PRESETS
 from benchmarks.measure import entry, seconds
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.core.randomness import named_key
-from softfin.learning.configuration import PAPER_PRESETS
 from softfin.learning.ppo import PPO
 from softfin.task.references import PAPER_RANGE, divide, stack_references
 from softfin.task.task import ForceTracking

@@ -21,11 +21,18 @@ from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.reachable import Reachable
-from softfin.learning.configuration import PAPER_PRESETS, SINGLE, TrainConfig
+from softfin.learning.configuration import SINGLE, TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train_policies
+from softfin.stages.reproduce import PRESETS
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
+
+PAPER_PRESETS = {
+    kind: TRAIN_PRESETS[kind].merged(changes, kind)
+    for kind, changes in PRESETS["paper"].policies.items()
+}
+"""How the paper trains each kind of controller."""
 
 GOOD_N = 0.3
 WIDE = Reachable(np.array([2, 0], np.float32), np.full(32, 4, np.float32))

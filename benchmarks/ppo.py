@@ -10,11 +10,10 @@ once, and its time is stated.
 import time
 from typing import Any
 
-from benchmarks.controllers import run
+from benchmarks.controllers import PAPER_PRESETS, run
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.gym_registration import register
-from softfin.learning.configuration import PAPER_PRESETS
 from softfin.surrogate import Surrogate
 
 PEER_STEPS = 512

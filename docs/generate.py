@@ -5,6 +5,7 @@ They are kept in git, so that they can be read without a build; a test keeps the
 also runs this before each build (conf.py).
 """
 
+import ast
 import importlib
 import inspect
 import json
@@ -13,6 +14,7 @@ import tempfile
 import textwrap
 import types
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -218,7 +220,8 @@ def python() -> Iterator[str]:
 def _documented(name: str, value: Any) -> Iterator[str]:
     """A heading, the parameters and the docstring."""
     yield from (f"### {name}", "")
-    if not (inspect.isclass(value) and inspect.isabstract(value)):
+    # Users do not build interfaces.
+    if not (inspect.isabstract(value) or getattr(value, "_is_protocol", False)):
         yield from ("```python", _call(name, value), "```", "")
     yield from _text(value)
 
@@ -261,6 +264,8 @@ def _text(value: Any) -> Iterator[str]:
 
 def _members(kind: type) -> Iterator[str]:
     """The fields and methods of a class that have a docstring."""
+    for name, text in _field_texts(kind).items():
+        yield f"- `{name}`: {text}"
     for name, value in vars(kind).items():
         text = " ".join(inspect.cleandoc(getattr(value, "__doc__", None) or "").split())
         # Named tuples make such a text for their fields.
@@ -269,6 +274,19 @@ def _members(kind: type) -> Iterator[str]:
         call = f"{name}()" if inspect.isfunction(value) else name
         yield f"- `{call}`: {text.replace('``', '`')}"
     yield ""
+
+
+def _field_texts(kind: type) -> dict[str, str]:
+    """The strings below the fields of a class."""
+    (found,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(found, ast.ClassDef)
+    return {
+        ast.unparse(field.target): " ".join(text.value.value.split()).replace("``", "`")
+        for field, text in pairwise(found.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }
 
 
 def error_classes() -> Iterator[str]:

@@ -69,35 +69,41 @@ class ShaftSine(NamedTuple):
     frequency: Float[AnyArray, "*shape"]
     """Frequency [Hz]."""
 
-    def commands(self, limits: Limits, ticks: int) -> Command:
-        """Return commands ``(*shape, ticks)``, clipped to the limits."""
-        centre, amplitude, frequency = (jnp.asarray(part, jnp.float32)[..., None] for part in self)
-        # The command of a tick affects the reading at the end of that tick, so time starts at 1.
-        turn = 2 * jnp.pi * frequency * (jnp.arange(ticks) + 1) * TICK_S
-        angle = centre + amplitude * jnp.sin(turn)
+    def command(self, limits: Limits, time_s: Float[AnyArray, "*times"]) -> Command:
+        """Return the commands at some times, clipped to the limits."""
+        angle = self.centre + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * time_s)
         # |d angle / dt| = 2 pi f A |cos(2 pi f t)|, at most 2 pi f A.
-        fastest = 2 * jnp.pi * frequency * amplitude
+        fastest = 2 * jnp.pi * self.frequency * self.amplitude
         velocity = jnp.clip(fastest, limits.velocity_min, limits.velocity_max)
         return Command(
             jnp.clip(angle, limits.angle_min, limits.angle_max),
             jnp.broadcast_to(velocity, angle.shape),
         )
 
+    def commands(self, limits: Limits, ticks: int) -> Command:
+        """Return commands ``(*shape, ticks)``, clipped to the limits."""
+        columns = ShaftSine(*(jnp.asarray(part, jnp.float32)[..., None] for part in self))
+        # The command of a tick affects the reading at the end of that tick, so time starts at 1.
+        return columns.command(limits, (jnp.arange(ticks) + 1) * TICK_S)
+
 
 def inverse(
-    forces: ReferenceRows, frequency: float, limits: Limits, constant: float = UCAT_CONSTANT_N_S2
+    forces: Float[AnyArray, "*references 2"],
+    frequency: float,
+    limits: Limits,
+    constant: float = UCAT_CONSTANT_N_S2,
 ) -> ShaftSine:
     """Return the sine that should produce each mean force [N]; `constant` is K [N s2].
 
     Thrust at angle theta points along (cos theta, -sin theta), so a force towards -y requires a
     positive angle.
     """
-    direction = np.arctan2(-forces[:, 1], forces[:, 0])
-    centre = np.clip(direction, limits.angle_min, limits.angle_max)
+    direction = jnp.arctan2(-forces[..., 1], forces[..., 0])
+    centre = jnp.clip(direction, limits.angle_min, limits.angle_max)
     # A = arccos(1 - |F| / (K f^2)); the largest possible force is 2 K f^2.
-    cosine = 1 - np.linalg.norm(forces, axis=1) / (constant * frequency**2)
-    amplitude = np.clip(np.arccos(np.maximum(cosine, -1.0)), *UCAT_AMPLITUDES_RAD)
-    return ShaftSine(centre, amplitude, np.full_like(amplitude, frequency))
+    cosine = 1 - jnp.linalg.norm(forces, axis=-1) / (constant * frequency**2)
+    amplitude = jnp.clip(jnp.arccos(jnp.maximum(cosine, -1.0)), *UCAT_AMPLITUDES_RAD)
+    return ShaftSine(centre, amplitude, jnp.full_like(amplitude, frequency))
 
 
 @eqx.filter_jit

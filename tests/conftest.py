@@ -94,8 +94,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that writes the files of help texts anew."""
-    parser.addoption("--rewrite", action="store_true", help="write the help of commands anew")
+    """Add the option that writes files of expected text anew."""
+    parser.addoption("--rewrite", action="store_true", help="write files of expected text anew")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -112,10 +112,12 @@ def few_programs() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def quick_activation() -> Iterator[None]:
-    """A session at the rig collects all garbage before its fin moves, which takes 0.2 s here."""
+    """A session at the rig collects all garbage before its fin moves, which takes 0.2 s here, and its
+    thread, which goes on to the next test, gets real-time priority."""
     without = SimpleNamespace(collect=lambda: 0, freeze=gc.freeze, unfreeze=gc.unfreeze)
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.session.gc", without)
+        patches.setattr("softfin.rig.session.set_priority", lambda *words: False)
         yield
 
 

@@ -68,7 +68,8 @@ def test_feedback_is_evaluated_after_the_search_for_the_family(name, tmp_path):
     (family,) = each.after
     ordered = [other.name for other in Runner(tmp_path, tuple(STEPS.values())).ordered([each])]
     assert ordered.index(family) < ordered.index(name)
-    assert STEPS[family].words[2:] == (each.words[2], "--plant", "tank")
+    plant = each.words[each.words.index("--plant") + 1]
+    assert STEPS[family].words[2:] == (each.words[2], "--plant", plant)
     assert ordered.index(STEPS[family].words[2].partition("/")[0]) < ordered.index(family)
 
 

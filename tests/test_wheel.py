@@ -34,7 +34,7 @@ pytestmark = [
 
 LARGEST_MB = 125
 """Files of the robot's part without compiled bytecode, to which pip adds some 30 MB: together at
-most 150 (issue 18), but for Python 3.11, whose NumPy is larger."""
+most 150, but for Python 3.11, whose NumPy is larger."""
 
 
 def run(words: Sequence[object], folder: Path, code: int = 0) -> subprocess.CompletedProcess[str]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import softfin
-from softfin.control.controller import Measured
+from softfin import Measured
 
 MAX_DECIDEGREES = 1800
 AT_REST = Measured(np.float32(0), np.zeros(2, np.float32))

@@ -4,6 +4,7 @@
 import json
 from collections.abc import Callable, Sequence
 
+from results.parts.benchmark import benchmark, benchmark_recurrent, fins
 from results.parts.common import (
     TORQUE_ONLY,
     Figures,
@@ -47,6 +48,7 @@ BENCHMARKS = {
     "cells": (3, 3),
     "compile": (6, 1),
     "memory": (6, 1),
+    "logs": (3, 3),
     "controller_step": (1, 5),
     "recording": (1, 5),
     "rig": (3, 3),
@@ -171,6 +173,9 @@ PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
     "data-efficiency": data_efficiency,
     "tank": tank,
     "demo": demo,
+    "benchmark": benchmark,
+    "benchmark-recurrent": benchmark_recurrent,
+    "fins": fins,
     "rig-day": rig_day,
     "robot": robot,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},

@@ -99,10 +99,11 @@ PUBLISHED = step(
 
 
 def dataset(seed: int, name: str = "dataset", options: str = "") -> Step:
-    """The paper's number of logs of the tank."""
+    """Logs of a tank; by default, the paper's number of logs of the default tank."""
+    options = options if "--plant" in options else f"--plant tank {options}"
     return step(
         f"{name}-{seed}",
-        f"softfin collect --plant tank {options} --seed {seed}",
+        f"softfin collect {options} --seed {seed}",
         0.5,
         seed,
         "--logs 12 --test-logs 1 --rows 1500",
@@ -170,6 +171,12 @@ def find_gaits(surrogate: str, seed: int | None, options: str = PAPER_BOX) -> St
     return step(f"gaits-{surrogate}", f"softfin map {surrogate} {options}", 0.8, seed, TINY_MAP)
 
 
+def find_gaits_at(clock: str, surrogate: str, seed: int) -> Step:
+    """Search for gaits with another action rate and window, such as ``6,1``."""
+    name = f"clock-{clock.replace(',', '-')}-{surrogate}"
+    return step(name, f"softfin map {surrogate} --clock {clock}", 2, seed, TINY_MAP)
+
+
 def train(kind: str, options: str, surrogate: str, seed: int, minutes: float) -> Step:
     """Training of policies."""
     name = f"{kind}-{surrogate}"
@@ -211,10 +218,10 @@ TORQUE_ONLY = "--feedback --feedback.uses torque"
 """Options of feedback without a force sensor."""
 
 
-def find_family(controller: Step, folder: str = "") -> Step:
-    """Search for the family of a controller in the tank, which is written into the folder of the
+def find_family(controller: Step, folder: str = "", plant: str = "--plant tank") -> Step:
+    """Search for the family of a controller in a tank, which is written into the folder of the
     controller; `folder` is its path below the result of the step."""
-    words = ("softfin", "family", f"{controller.name}{folder}", "--plant", "tank")
+    words = ("softfin", "family", f"{controller.name}{folder}", *plant.split())
     tiny = ("--fins", "20", "--nodes", "3", "--nominal-nodes", "3")
     return Step(_family_name(controller.name), words, 1.5, controller.seed, tiny)
 

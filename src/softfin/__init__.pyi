@@ -1,5 +1,8 @@
 from . import testing as testing
+from .control.controller import Controller as Controller
+from .control.controller import Measured as Measured
 from .control.store import load_controller as load_controller
+from .core.plant import Plant as Plant
 from .core.quantities import Command as Command
 from .core.quantities import Limits as Limits
 from .core.quantities import Log as Log
@@ -9,6 +12,7 @@ from .data.importing.importing import ImportConfig as ImportConfig
 from .evaluation.benchmark import BenchmarkProtocol as BenchmarkProtocol
 from .evaluation.evaluate import EvaluateConfig as EvaluateConfig
 from .gaits.force_map import MapConfig as MapConfig
+from .gaits.reachable import Cell as Cell
 from .learning.configuration import GRID as GRID
 from .learning.configuration import SINGLE as SINGLE
 from .learning.configuration import TrainConfig as TrainConfig
@@ -40,3 +44,4 @@ from .surrogate import load_surrogate as load_surrogate
 from .tank import Tank as Tank
 from .tank import TankConfig as TankConfig
 from .tank.calibration.config import CalibrateConfig as CalibrateConfig
+from .task.task import TaskConfig as TaskConfig

@@ -24,7 +24,6 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
         (choices.TimeUnit, UNITS["time"]),
         (choices.ForceUnit, UNITS["force"]),
         (choices.PolicyLayout, TRAIN_PRESETS),
-        (choices.ControllerKind, {"gaits", *get_args(choices.PolicyLayout)}),
     ],
 )
 def test_every_name_that_may_be_chosen_stands_for_something(names: Any, table: Any) -> None:

@@ -15,7 +15,7 @@ from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import roll
-from softfin.core.power import measured_power
+from softfin.core.power import electrical_power, tick_velocity
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.recordings import open_logs
@@ -218,10 +218,11 @@ def test_torque_and_current_through_the_emulators_are_the_tanks_own(drive, tmp_p
         assert mean_w == pytest.approx(power_w, rel=0.15)
     # Both powers of the log are those of the tank.
     motor = robot.machine.motor
-    powers = [
-        measured_power(log.channels, log.reading.velocity, motor).mean(axis=0)
-        for log in (through, own)
-    ]
+    powers = []
+    for log in (through, own):
+        velocity = log.reading.velocity
+        electrical = electrical_power(log.channels["current_a"], tick_velocity(velocity), motor)
+        powers.append([np.mean(log.channels["torque_nm"] * velocity), electrical.mean()])
     np.testing.assert_allclose(*powers, rtol=0.05)
 
 

@@ -35,9 +35,20 @@ CONTROLLER_STEPS: Mapping[str, Any] = {step.kind: step for step in (SingleStep, 
 
 
 def load_controller(path: str | Path) -> LoadedController:
-    """Load the controller from a folder; raises ArtifactError if the folder is missing or damaged.
+    """Load a controller. It runs without JAX; if JAX is already imported, compiled functions can
+    take it as an argument.
 
-    If JAX is already imported, compiled functions can take the controller as an argument.
+    Args:
+        path: Folder of the controller.
+
+    Returns:
+        The controller.
+
+    Raises:
+        ArtifactError: If the folder is missing or damaged.
+
+    Example:
+        >>> controller = softfin.load_controller("gaits")
     """
     if "jax" in sys.modules:
         from softfin.control.pytrees import register_controllers

@@ -11,8 +11,6 @@ ForceUnit: TypeAlias = Literal["N", "mN", "cN", "kN", "gf", "kgf", "lbf", "ozf"]
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
 """Layout: one policy for all references, or one policy per grid cell."""
-ControllerKind: TypeAlias = Literal["gaits", "single", "grid"]
-"""A table of gaits, or policies."""
 TrainingRangeName: TypeAlias = Literal["reach", "paper"]
 """References for training: all forces that the fin can produce, or the paper's references."""
 

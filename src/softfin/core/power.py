@@ -10,10 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypedDict
 
-import numpy as np
 from jaxtyping import Float
 
-from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import AnyArray
 
 
@@ -86,23 +84,6 @@ def drive_power(
     current = motor_current(torque, rate, motor)
     powers = [torque[:, 0] * rate, electrical_power(current, rate, motor)]
     return velocity.__array_namespace__().stack(powers, axis=-1)
-
-
-def measured_power(
-    channels: Mapping[str, Float[AnyArray, "rows"]],
-    velocity: Float[AnyArray, "rows"],
-    motor: Motor | None,
-) -> Float[np.ndarray, "rows 2"]:
-    """Return the mechanical and electrical power in each row of a log [W], from its channels for
-    torque and current; NaN without the channel, and without a `motor` for the electrical power."""
-    powers = np.full((*velocity.shape, 2), math.nan)
-    if LOAD_CHANNELS[-1] in channels:
-        powers[:, 0] = channels[LOAD_CHANNELS[-1]] * velocity
-    if motor is not None and CURRENT_CHANNEL in channels:
-        # Drives report the current over the time since the previous reading.
-        current = channels[CURRENT_CHANNEL]
-        powers[:, 1] = electrical_power(current, tick_velocity(velocity), motor)
-    return powers
 
 
 class MeanPower(TypedDict):

@@ -9,6 +9,8 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
+import pyarrow as pa
+
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, LogError, NotALogError
 from softfin.core.json_object import JsonObject
@@ -164,6 +166,8 @@ def _read(
         recordings = [read_bag(file, name, part, config)]
     else:
         recordings = read_table(file, name, part, config)
+        # The text of the columns, for which Arrow would keep the memory.
+        pa.default_memory_pool().release_unused()
     logs: list[NamedLog] = []
     issues: list[Issue] = []
     for recording in recordings:

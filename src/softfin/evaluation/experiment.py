@@ -206,10 +206,6 @@ Torque: TypeAlias = Float[AnyArray, "rows 2"] | None
 """Mean torque on the fin and of the motor in each tick [N m]; None if the plant does not compute
 it."""
 
-RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
-"""Commands, readings and true forces (None if the plant does not compute them) over a series of
-ticks."""
-
 Held: TypeAlias = tuple[State, tuple[Reading, Torque, Any]]
 """State after an action, and the readings, torques and extra output of each tick."""
 

@@ -108,8 +108,9 @@ Cells: TypeAlias = tuple[Cell, ...]
 
 
 def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
-    """Format a force as ``(x, y)``, without its unit."""
-    return f"({force[0]:g}, {force[1]:g})"
+    """Format a force as ``(x, y)``, without its unit; rounding errors are not shown."""
+    x, y = np.round(force, 9) + 0.0
+    return f"({x:g}, {y:g})"
 
 
 def force_decimals(largest_n: float | int) -> int:

@@ -10,6 +10,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
+from softfin.rig.priority import LOOP, NORMAL, set_priority
 from softfin.rig.prove import check_proof, proving_command
 from softfin.rig.rig import Rig
 
@@ -141,11 +142,15 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     rig.open()
+    is_urgent = set_priority(LOOP, rig.clock)
     pace = Pace(rig.clock)
     complaints: tuple[str, ...] = ()
-    for _ in range(round(seconds * RATE_HZ)):
-        pace.wait()
-        complaints = complaints or rig.read().complaints
+    try:
+        for _ in range(round(seconds * RATE_HZ)):
+            pace.wait()
+            complaints = complaints or rig.read().complaints
+    finally:
+        set_priority(NORMAL, rig.clock)
     counted = rig.counters()
     late = pace.to_dict()
     if rig.clock.is_simulated:
@@ -158,6 +163,8 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     else:
         in_time = late["late_p99_ms"] <= 2.0 and not late["skipped_ticks"]
         advice = "" if in_time else "; close other programs, or use a less busy computer"
+        if not is_urgent:
+            advice += "; without real-time priority, see docs/rig.md"
         yield CheckResult(
             "100 Hz loop",
             "well" if in_time else "wrong",

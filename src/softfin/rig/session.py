@@ -20,6 +20,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.loss_estimate import explain_losses
 from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
+from softfin.rig.priority import LOOP, NORMAL, set_priority
 from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
@@ -250,6 +251,7 @@ class Session:
         self.state = "active"
         self._counted.subtract(self.machine.counters())
         self._record_event(f"active: {self.machine.name}")
+        set_priority(LOOP, self.pace.clock)
         self.pace.start()
         self._watchdog = Watchdog(
             self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock
@@ -370,7 +372,8 @@ class Session:
         self.abort(latest_trip)
 
     def _leave(self, state: SessionState) -> None:
-        """Change to a state in which the fin does not move."""
+        """Change to a state in which the fin does not move, and the loop may be late."""
+        set_priority(NORMAL, self.pace.clock)
         if self.state == "active":
             # Nothing may prevent a stopped machine from being closed.
             with contextlib.suppress(Exception):

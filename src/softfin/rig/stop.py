@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import SafetyStop
+from softfin.rig.priority import WATCHDOG, set_priority
 from softfin.rig.safety import Trip
 
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
@@ -203,6 +204,7 @@ class Watchdog:
         self._ended.set()
 
     def _watch(self) -> None:
+        set_priority(WATCHDOG, self._clock)
         # Check four times per timeout, so that the stop is late by at most a quarter of the
         # timeout.
         while not self._ended.wait(self._longest / 4):

@@ -40,6 +40,9 @@ def doctor() -> Iterator[CheckResult]:
 
     Raises:
         RunError: If a check has failed.
+
+    Example:
+        >>> list(softfin.doctor())
     """
     home = os.environ.get("HOME", "/")
     for result in failing(_examine(), RunError):

@@ -46,7 +46,6 @@ def inspect_logs(
     find_recordings(logs)
     if out is not None:
         artifacts.check_vacant(Path(out), overwrite, kind="inspection")
-    from softfin.data.checks.report import write_inspection
     from softfin.data.recordings import ignoring, open_logs, options_file
 
     opened = open_logs(logs, recordings, progress)
@@ -61,6 +60,9 @@ def inspect_logs(
     if out is None:
         values = {**opened.inspection.to_dict(), **metadata}
     else:
+        # Imported here because importing Matplotlib takes time.
+        from softfin.data.checks.report import write_inspection
+
         values = write_inspection(opened.inspection, opened.logs, Path(out), metadata, overwrite)
     errors = opened.remaining_errors()
     if errors:

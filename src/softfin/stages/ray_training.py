@@ -15,14 +15,23 @@ MAX_RETRIES = 2
 def train_on_ray(
     runs: Sequence[Mapping[str, Any]], cluster: str, num_gpus: float = 0.0
 ) -> list[JsonObject]:
-    """Call `train` once with each mapping of arguments, on the Ray cluster at HOST:PORT.
+    """Call `train` once with each mapping of arguments, on a Ray cluster. All machines must have
+    the plants and the output folders at the same paths.
 
-    Returns the results of `train` in the same order. All machines must have the plants and the
-    output folders at the same paths. Each training uses one processor core and `num_gpus` GPUs.
+    Args:
+        runs: Arguments of each call of `train`.
+        cluster: Ray cluster, HOST:PORT.
+        num_gpus: Number of GPUs of each training, which also uses one processor core.
+
+    Returns:
+        The results of `train` in the same order.
 
     Raises:
         ConfigurationError: If Ray is not installed, or the cluster cannot be used.
         RunError: If a training failed; raised after all other trainings have finished.
+
+    Example:
+        >>> softfin.train_on_ray([{"surrogate": "surrogate", "out": "single"}], "head:6379")
     """
     ray = _connect(cluster)
     try:

@@ -170,7 +170,8 @@ def benchmark_table(summary: JsonObject) -> str:
     decimals = error_decimals(constant)
     name = summary["conditions"]["kind"] + " with feedback" * summary["conditions"]["feedback"]
     lines = [table_two({f"{name}, benchmark {summary['protocol_version']}": constant})]
-    lines.append(moving_table(cases["moving"].get("rows", ()), decimals))
+    if "rows" in cases["moving"]:
+        lines.append(moving_table(cases["moving"]["rows"], decimals))
     rows = [["other fins", "x error", "y error"]]
     for row in cases["perturbed"]:
         errors = [f"{row['mean'][axis]['error_n']:.{decimals}f}" for axis in AXES]

@@ -98,8 +98,21 @@ def check_data(name: "str | Path | Plant") -> None:
 
 
 def find_plant(name: "str | Path | Plant") -> "Plant":
-    """Build or load the plant `name`, or return `name` unchanged if it is already a plant. If the
-    plant does not exist, raises PlantError with the possible names."""
+    """Build or load a plant.
+
+    Args:
+        name: tank, a tank YAML file, a surrogate folder, package.module:name, rig:FILE, or a plant,
+            which is returned unchanged.
+
+    Returns:
+        The plant.
+
+    Raises:
+        PlantError: If the plant does not exist or its limits are invalid.
+
+    Example:
+        >>> tank = softfin.find_plant("tank")
+    """
     if not isinstance(name, str | Path):
         return _check_is_plant(name, "plant")
     from softfin.core.quantities import Limits

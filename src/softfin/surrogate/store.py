@@ -49,11 +49,20 @@ def save_surrogate(
 
 
 def load_surrogate(path: str | Path) -> SurrogatePlant:
-    """Load the surrogate from a folder. If its model is ``package.module:ARCHITECTURE``, the module
-    is imported from the current folder or an installed package.
+    """Load a surrogate. If its model is ``package.module:ARCHITECTURE``, the module is imported
+    from the current folder or an installed package.
+
+    Args:
+        path: Folder of the surrogate.
+
+    Returns:
+        The surrogate, which is a plant.
 
     Raises:
         ArtifactError: If the folder is damaged, or its rate, model or channels are not supported.
+
+    Example:
+        >>> surrogate = softfin.load_surrogate("surrogate")
     """
     check_precision()
     path = Path(path)

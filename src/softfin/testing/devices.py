@@ -26,12 +26,19 @@ AT_REST_RAD = 0.02
 
 
 def check_force_sensor(sensor: StreamedSensor, silence: Callable[[], object] | None = None) -> None:
-    """Raise RigError with the problem and the requirement, unless the `RecordSource` of `sensor`
-    meets its contract.
+    """Check that a force sensor meets its contract: it can be closed at any time and opened again,
+    and readings are finite, in order, recent and fast.
 
-    Checks that it can be closed at any time and opened again, and that readings are finite, in
-    order, recent and fast. If `silence` makes the sensor silent, it also checks that the age of the
-    force grows and a complaint follows.
+    Args:
+        sensor: The sensor, with its `RecordSource`.
+        silence: Function that makes the sensor silent; the age of its force must then grow, and a
+            complaint follow.
+
+    Raises:
+        RigError: With the problem and the requirement.
+
+    Example:
+        >>> check_force_sensor(sensor, silence=board.unplug)
     """
     pace = Pace(sensor.clock)
     _check_closed(sensor)
@@ -49,11 +56,20 @@ def check_force_sensor(sensor: StreamedSensor, silence: Callable[[], object] | N
 
 
 def check_drive(drive: Drive, clock: Clock = REAL) -> None:
-    """Raise RigError with the problem and the requirement, unless `drive` meets the contract of
-    `Drive`; THE FIN MOVES by 0.2 rad and its zero is set.
+    """Check that a drive meets its contract; THE FIN MOVES by 0.2 rad and its zero is set.
 
-    Checks that the drive moves only between `enable` and `stop`, that any thread may
-    stop it, that it can be closed at any time and opened again, and that it stops by itself.
+    The drive must move only between `enable` and `stop`, any thread may stop it, it can be closed
+    at any time and opened again, and it stops by itself.
+
+    Args:
+        drive: The drive.
+        clock: Clock of the drive.
+
+    Raises:
+        RigError: With the problem and the requirement.
+
+    Example:
+        >>> check_drive(drive)
     """
     pace = Pace(clock)
     drive.stop()

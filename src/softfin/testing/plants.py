@@ -26,27 +26,44 @@ STROKE_TICKS = PAPER_CLOCK.ticks[0]
 
 
 def check_plant(plant: Any) -> None:
-    """Raise a PlantError with the problem and the requirement, unless `plant` meets the contract.
+    """Check that a plant meets its contract.
 
     Checks the members, limits, shapes, types and time, and that readings are finite at the corners
     of the limits. Also checks that the same state and command produce the same readings (purity),
     that the plant has an identity (`softfin.core.plant_identity`), that holding a command equals
     single ticks, and that `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do
     the same as `advance`, and an optional `true_force` must be finite and traceable.
+
+    Args:
+        plant: The plant.
+
+    Raises:
+        PlantError: With the problem and the requirement.
+
+    Example:
+        >>> check_plant(softfin.find_plant("tank"))
     """
     for check in (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action):
         check(plant)
 
 
 def check_surrogate(surrogate: Any) -> None:
-    """Raise a PlantError with the problem and the requirement, unless `surrogate` meets the
-    contract `softfin.surrogate.protocol.SurrogatePlant`.
+    """Check that a surrogate meets the contract `softfin.surrogate.protocol.SurrogatePlant`.
 
     Checks everything that `check_plant` checks. Also checks that the architecture is found by its
     name, that the surrogate is the same after saving and loading, that `warm` continues a history,
     and that each network of Table I predicts a log. If the surrogate is an `EnsemblePlant`, its
     readings must be the mean over its members, with a finite distance. The
     histories and logs are the surrogate's own readings under random commands.
+
+    Args:
+        surrogate: The surrogate.
+
+    Raises:
+        PlantError: With the problem and the requirement.
+
+    Example:
+        >>> check_surrogate(softfin.load_surrogate("surrogate"))
     """
     check_plant(surrogate)
     _surrogate_members(surrogate)

@@ -1,5 +1,6 @@
 """A whole day at emulated rigs with each drive and each kind of force sensor, by the commands."""
 
+import contextlib
 import json
 
 import pyarrow.parquet as pq
@@ -45,11 +46,14 @@ def armed(rig, *words):
 
 
 def checked(rig, capsys):
-    """What a check without motion tells; all is well."""
+    """What a check without motion tells; all is well but perhaps this computer, which may be busy."""
     capsys.readouterr()
-    main(["rig", "check", "--rig", str(rig), "--json"])
+    # The exit status says whether all is well, this computer included.
+    with contextlib.suppress(SystemExit):
+        main(["rig", "check", "--rig", str(rig), "--json"])
     rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
-    assert {row["state"] for row in rows.values()} <= {"well", "note"}
+    of_the_rig = {row["state"] for what, row in rows.items() if what != "100 Hz loop"}
+    assert of_the_rig <= {"well", "note"}
     return rows
 
 

@@ -54,6 +54,11 @@ MIN_ALIGNED_S = 10
 """Shortest recording from which the force lag and the force axes are estimated [s]."""
 
 
+# The sum of the seven weights is 3, and the first and the last are 0.
+HANN_WEIGHTS = np.hanning(7)[1:-1] / 3
+"""Weights of `smoothed`."""
+
+
 def measure_rate(values: LogSeries) -> LogSeries:
     """Return the rate of change per second, smoothed over 50 ms."""
     return np.asarray(np.gradient(smoothed(values), TICK_S))
@@ -61,9 +66,7 @@ def measure_rate(values: LogSeries) -> LogSeries:
 
 def smoothed(values: LogSeries) -> LogSeries:
     """Smooth with a five-sample Hann window, which adds no delay."""
-    # The first and last of the seven weights are 0.
-    kernel = np.hanning(7)[1:-1] / np.hanning(7).sum()
-    return np.convolve(np.pad(values, 2, mode="edge"), kernel, "valid")
+    return np.convolve(np.pad(values, 2, mode="edge"), HANN_WEIGHTS, "valid")
 
 
 def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
@@ -171,7 +174,7 @@ def explained_shares(angle: LogSeries, force: ForceSeries, ticks: int) -> Float[
     ones = np.ones(len(rate) - 2 * ticks)
     explained = np.zeros(2 * ticks + 1)
     total = np.full(2 * ticks + 1, 1e-12)
-    for axis in (force.real, force.imag):
+    for axis in filter(np.any, (force.real, force.imag)):
         smooth = smoothed(axis - axis.mean())
         for vector in basis[sizes > 1e-5 * sizes[0]]:
             explained += np.correlate(smooth, vector, "valid") ** 2

@@ -213,7 +213,9 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
             fix = f"these rows are dropped, and gaps over {config.gap_s:g} s split the log"
             severity = row_severity(bad.size, len(values))
             issues.append(Issue(severity, "not a number", name, message, fix, channel, int(bad[0])))
-    return track.take(is_finite), np.flatnonzero(is_finite), issues
+    # A selection of all rows would copy them.
+    finite = track.take(is_finite) if issues else track
+    return finite, np.flatnonzero(is_finite), issues
 
 
 def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, list[Issue]]:

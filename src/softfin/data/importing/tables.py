@@ -1,5 +1,6 @@
 """Reads CSV and Parquet tables with arbitrary column names as recordings."""
 
+import contextlib
 import itertools
 from pathlib import Path
 
@@ -157,6 +158,7 @@ def _read_column(
                 f"{path}: column {column.name!r} has type {kind}, must be numeric; choose another "
                 "column or convert it"
             ) from None
+    values = pc.utf8_trim_whitespace(values)
     numbers = _parse(values)
     if channel == "time" and not np.isfinite(numbers).any():
         numbers = _parse_clock(values)
@@ -174,17 +176,25 @@ def _read_column(
 def _check_cells(values: pa.ChunkedArray, numbers: Float[np.ndarray, "rows"], source: str) -> None:
     """Raise LogError if many cells are neither numbers nor missing, or if commas may separate
     thousands."""
+    is_other = np.isnan(numbers)
+    cells = values.filter(pa.array(is_other))
     is_text = pc.or_(
-        pc.match_substring_regex(values, MISSING_TEXTS),
-        pc.invert(pc.match_substring_regex(values, r"\d")),
+        pc.match_substring_regex(cells, MISSING_TEXTS),
+        pc.invert(pc.match_substring_regex(cells, r"\d")),
     )
-    is_other = np.isnan(numbers) & ~np.asarray(pc.fill_null(is_text, True))
-    has_sign = np.asarray(pc.fill_null(pc.match_substring_regex(values, "[.,]"), False))
-    is_grouped = np.asarray(pc.fill_null(pc.match_substring_regex(values, GROUPED), False))
-    is_ambiguous = has_sign.sum() >= 10 and (~has_sign & ~np.isnan(numbers)).any()
-    if is_ambiguous and (has_sign == is_grouped).all():
-        is_other = is_grouped
-    if is_other.sum() > MAX_MISSING_SHARE * len(numbers) or is_other is is_grouped:
+    is_number = ~is_other
+    is_other[is_other] = ~np.asarray(is_text.fill_null(True))
+    has_sign = np.asarray(
+        pc.or_(pc.match_substring(values, "."), pc.match_substring(values, ",")).fill_null(False)
+    )
+    most = MAX_MISSING_SHARE * len(numbers)
+    if has_sign.sum() >= 10 and (~has_sign & is_number).any():
+        is_grouped = np.asarray(pc.match_substring_regex(values, GROUPED).fill_null(False))
+        # Commas or points may separate thousands if each stands before three digits.
+        if (has_sign == is_grouped).all():
+            is_other = is_grouped
+            most = 0
+    if is_other.sum() > most:
         cell = values[int(is_other.argmax())].as_py()
         raise LogError(
             f"{source}: {is_other.sum():,} cells are not plain numbers, the first {cell!r}; save "
@@ -200,6 +210,10 @@ def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
 
 def _parse(column: pa.ChunkedArray) -> Float[np.ndarray, "rows"]:
     """Parse numbers with a decimal point or comma; NaN for any other text."""
+    with contextlib.suppress(pa.ArrowInvalid):
+        numbers = _floats(column)
+        if np.isfinite(numbers).all():
+            return numbers
     is_number = pc.match_substring_regex(column, f"^{DECIMAL}$")
     return _floats(pc.if_else(is_number, pc.replace_substring(column, ",", "."), None))
 

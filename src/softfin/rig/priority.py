@@ -1,0 +1,24 @@
+"""Real-time priority of the threads that must not be late, if the system allows it."""
+
+import os
+
+from softfin.core.clock import Clock
+
+NORMAL = 0
+LOOP = 10
+"""Priority of the 100 Hz loop while the fin is active."""
+WATCHDOG = LOOP + 1
+"""The watchdog must also run if the loop never waits, even on a computer with one core."""
+
+
+def set_priority(priority: int, clock: Clock) -> bool:
+    """Run the calling thread before all programs of lower priority; new threads and processes are
+    normal. Return whether the system allows it; in simulated time nothing changes."""
+    if clock.is_simulated or not hasattr(os, "SCHED_RESET_ON_FORK"):
+        return False
+    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+    try:
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
