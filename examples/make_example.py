@@ -42,10 +42,10 @@ MAKING = {
     "minute",
 }
 SCORING = {
-    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --repeats 5 "
-    f"{trim and '--feedback '}--out {name}{trim}"
+    f"{name}{ending}": f"softfin evaluate {PARTS[name]} --plant tank --repeats 5 "
+    f"{ending and '--feedback '}--out {name}{ending}"
     for name in CONTROLLERS
-    for trim in ("", "-trim")
+    for ending in ("", "-feedback")
 }
 """Commands by the folders that they write."""
 
@@ -138,7 +138,7 @@ def readme(description: dict[str, Any]) -> str:
         for name, row in description["errors"].items()
     }
     table = "\n".join(
-        f"| `{name}` | {stated[name]} | {stated[f'{name}-trim']} |" for name in CONTROLLERS
+        f"| `{name}` | {stated[name]} | {stated[f'{name}-feedback']} |" for name in CONTROLLERS
     )
     row = description["errors"]["gaits"]
     origin = description["provenance"]

@@ -117,7 +117,8 @@ def quick_activation() -> Iterator[None]:
     without = SimpleNamespace(collect=lambda: 0, freeze=gc.freeze, unfreeze=gc.unfreeze)
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.session.gc", without)
-        patches.setattr("softfin.rig.session.set_priority", lambda *words: False)
+        for name in ("set_priority", "set_loop_priority"):
+            patches.setattr(f"softfin.rig.session.{name}", lambda *words: False)
         yield
 
 

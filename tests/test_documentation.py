@@ -390,7 +390,9 @@ def test_files_and_names_of_the_code_are_there():
 
 def code(folder: Path) -> Iterator[Path]:
     tops = (
-        ("src", "tests", "docs", "examples", "benchmarks", "studies") if folder == ROOT else (".",)
+        ("src", "tests", "docs", "examples", "benchmarks", "results", "studies")
+        if folder == ROOT
+        else (".",)
     )
     return (path for top in tops for path in (folder / top).rglob("*.py"))
 

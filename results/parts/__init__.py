@@ -94,7 +94,7 @@ def demo(seeds: Sequence[int]) -> Part:
         }
         means = {
             f"{kind}.{key}": [row[name][kind]["mean"] for row in found]
-            for key, name in (("error", "controllers"), ("feedback", "trimmed"))
+            for key, name in (("error", "controllers"), ("feedback", "with_feedback"))
             for kind in found[0].get(name) or ()
         }
         for way, those in judged.items():

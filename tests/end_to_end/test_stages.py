@@ -77,7 +77,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
 
     assert results == json.loads((out / "results.json").read_text())
     for kind, part in product(
-        ("gaits", "single", "grid"), ("controllers", "trimmed", "in_surrogate")
+        ("gaits", "single", "grid"), ("controllers", "with_feedback", "in_surrogate")
     ):
         rows = results[part][kind]["references"]
         assert len(rows) == 6

@@ -255,7 +255,7 @@ def test_the_headline_is_of_the_best_controller_and_bounds_its_error_at_every_re
     assert best.holds
     assert best.sentence == "The fin holds each of 6 forces within 0.04 N on average."
     corrected = headline(
-        {"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}}
+        {"controllers": {"good": good}, "with_feedback": {"good": with_errors(summary, [0.01] * 6)}}
     )
     assert "within 0.01 N on average" in corrected.sentence
 

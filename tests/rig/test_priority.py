@@ -5,7 +5,7 @@ import pytest
 
 from softfin.core.clock import REAL
 from softfin.emulation.clock import SimulatedClock
-from softfin.rig.priority import LOOP, NORMAL, set_priority
+from softfin.rig.priority import LOOP, NORMAL, WATCHDOG, set_loop_priority, set_priority
 from tests.rig.test_session import Made
 
 needs_scheduler = pytest.mark.skipif(
@@ -57,6 +57,20 @@ def test_a_system_that_refuses_is_reported(monkeypatch):
     assert not set_priority(LOOP, REAL)
 
 
+@needs_scheduler
+def test_the_loop_is_never_above_the_watchdog(monkeypatch):
+    taken = []
+
+    def allow_ten(pid, policy, parameters):
+        if parameters.sched_priority >= WATCHDOG:
+            raise PermissionError(1, "Operation not permitted")
+        taken.append(parameters.sched_priority)
+
+    monkeypatch.setattr(os, "sched_setscheduler", allow_ten)
+    assert not set_loop_priority(REAL)
+    assert taken == []
+
+
 def test_simulated_time_needs_none(monkeypatch):
     monkeypatch.delattr(os, "sched_setscheduler", raising=False)
     assert not set_priority(LOOP, SimulatedClock())
@@ -67,6 +81,7 @@ def test_a_session_has_it_while_its_fin_is_active(monkeypatch):
     monkeypatch.setattr(
         "softfin.rig.session.set_priority", lambda priority, clock: calls.append(priority)
     )
+    monkeypatch.setattr("softfin.rig.session.set_loop_priority", lambda clock: calls.append(LOOP))
     with Made().session as session:
         session.activate()
         assert calls == [LOOP]

@@ -13,7 +13,7 @@ from softfin.emulation.clock import SimulatedClock
 from softfin.rig.machine import Target
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, SafetyConfig
-from softfin.rig.session import Session, mean_force
+from softfin.rig.session import GOOD_TICKS, Session, mean_force
 from softfin.rig.stop import StopRequest
 from tests.patience import wait_until
 from tests.rig.machines import FreeFin, Hours, Notes
@@ -338,6 +338,21 @@ def test_one_slow_tick_before_activation_is_not_the_last_look():
     with made.session as session:
         session.activate()
         assert session.state == "active"
+
+
+def test_a_stop_at_the_last_tick_before_activation_keeps_the_motor_off():
+    asked = count()
+    made = Made()
+
+    def stop_at_the_tenth(sample, target):
+        if next(asked) == GOOD_TICKS - 1:
+            made.stop.ask("emergency_stop", "stopped by a person")
+
+    made.session.observers = (stop_at_the_tenth,)
+    with pytest.raises(SafetyStop, match="stopped by a person"), made.session:
+        made.session.activate()
+    assert next(asked) == GOOD_TICKS
+    assert "enable" not in made.machine.calls
 
 
 def test_the_first_command_is_to_stay_where_it_is():

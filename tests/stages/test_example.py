@@ -67,7 +67,7 @@ def test_the_controllers_are_of_the_surrogate(example):
         assert origin["plant_identity"] == identity(surrogate), name
         assert origin["softfin"] == DESCRIPTION["provenance"]["softfin"]
         assert softfin.load_controller(example / name).artifact.name == name
-        assert {name, f"{name}-trim"} <= DESCRIPTION["errors"].keys()
+        assert {name, f"{name}-feedback"} <= DESCRIPTION["errors"].keys()
 
 
 def test_the_recording_is_a_minute_that_imports_without_a_question(example, tmp_path):

@@ -27,7 +27,7 @@ def headline(results: RunResults) -> Headline | None:
 
     A controller that leaves the fin at rest ranks last, however small its error is.
     """
-    evaluated = results.get("trimmed") or results.get("controllers")
+    evaluated = results.get("with_feedback") or results.get("controllers")
     if not evaluated:
         return None
     name = min(

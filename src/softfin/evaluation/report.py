@@ -62,7 +62,7 @@ def write_report(
         stages=results.get("stages") or [],
         table_one=list(((results.get("surrogate") or {}).get("scores") or {}).values()),
         controllers=controllers,
-        trimmed=results.get("trimmed") or {},
+        with_feedback=results.get("with_feedback") or {},
         in_surrogate=results.get("in_surrogate") or {},
         # All controllers of a run are evaluated under the same conditions.
         conditions=next((each["conditions"] for each in controllers.values()), None),

@@ -125,7 +125,7 @@ class RunResults(TypedDict, total=False):
     """``{"scores": ...}`` from `table_one`; None if the run used an existing surrogate."""
     controllers: dict[str, EvaluationSummary]
     """Evaluation of each kind of controller (``gaits``, ``single``, ``grid``)."""
-    trimmed: dict[str, EvaluationSummary] | None
+    with_feedback: dict[str, EvaluationSummary] | None
     """Evaluations with force feedback."""
     in_surrogate: dict[str, EvaluationSummary] | None
     """Evaluations in the surrogate that was used for training."""

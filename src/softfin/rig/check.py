@@ -10,7 +10,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
-from softfin.rig.priority import LOOP, NORMAL, set_priority
+from softfin.rig.priority import NORMAL, set_loop_priority, set_priority
 from softfin.rig.prove import check_proof, proving_command
 from softfin.rig.rig import Rig
 
@@ -142,7 +142,7 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     rig.open()
-    is_urgent = set_priority(LOOP, rig.clock)
+    is_urgent = set_loop_priority(rig.clock)
     pace = Pace(rig.clock)
     complaints: tuple[str, ...] = ()
     try:

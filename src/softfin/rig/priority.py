@@ -22,3 +22,9 @@ def set_priority(priority: int, clock: Clock) -> bool:
     except OSError:
         return False
     return True
+
+
+def set_loop_priority(clock: Clock) -> bool:
+    """Give the calling thread the priority of the loop, but only if the system also allows that of
+    the watchdog."""
+    return set_priority(WATCHDOG, clock) and set_priority(LOOP, clock)

@@ -20,7 +20,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.loss_estimate import explain_losses
 from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
-from softfin.rig.priority import LOOP, NORMAL, set_priority
+from softfin.rig.priority import NORMAL, set_loop_priority, set_priority
 from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
@@ -115,8 +115,8 @@ class Session:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._unwatch()
         self.stop_request.is_obeyed = True
+        self._unwatch()
         self.machine.stop()
         unconfirmed = self.machine.stop_unconfirmed
         is_confirmed = self._is_confirmed()
@@ -245,13 +245,16 @@ class Session:
         limits = self.machine.limits
         # The fin may rest slightly outside the command range.
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
+        # An observer of the last tick may have requested a stop.
+        if trip := self.stop_request.trip or self.trip:
+            self.abort(trip)
         self.machine.enable()
         # Samples read without power are not part of the motion that starts here.
         self.guard.restart()
         self.state = "active"
         self._counted.subtract(self.machine.counters())
         self._record_event(f"active: {self.machine.name}")
-        set_priority(LOOP, self.pace.clock)
+        set_loop_priority(self.pace.clock)
         self.pace.start()
         self._watchdog = Watchdog(
             self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock

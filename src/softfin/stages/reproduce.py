@@ -357,7 +357,7 @@ def _list_evaluations(
     moving = asked | ({"recorded": ONE_STEP} if preset.moving else {})
     parts = [("evaluation", plant, moving, False)]
     if preset.moving:
-        parts.append(("evaluation-trimmed", plant, moving, True))
+        parts.append(("evaluation-with-feedback", plant, moving, True))
     if surrogate != plant:
         parts.append(("evaluation-in-surrogate", surrogate, asked, False))
     for folder, place, config, feedback in parts:
@@ -439,7 +439,7 @@ def _collect_results(
         "seeds": PRESETS[preset].num_seeds,
         "surrogate": surrogate,
         "controllers": read_evaluations("evaluation"),
-        "trimmed": read_evaluations("evaluation-trimmed") or None,
+        "with_feedback": read_evaluations("evaluation-with-feedback") or None,
         "in_surrogate": read_evaluations("evaluation-in-surrogate") or None,
         "stages": stages,
         "wall_s": {row["stage"]: row["wall_s"] for row in stages if row["wall_s"] is not None},
@@ -456,7 +456,7 @@ def _find_figures(out: Path, results: "RunResults") -> dict[str, dict[str, Path]
     learning = {}
     experiment = {}
     moving = {}
-    shown = out / ("evaluation-trimmed" if results["trimmed"] else "evaluation")
+    shown = out / ("evaluation-with-feedback" if results["with_feedback"] else "evaluation")
     seeds = range(results["seed"], results["seed"] + results["seeds"])
     for kind in results["controllers"]:
         caption = f"{kind} controller, seed {results['seed']}"
@@ -497,7 +497,7 @@ def _describe(out: Path, results: "RunResults") -> Result:
     plant = results["plant"]
     evaluated = {
         f"On {plant}": results["controllers"],
-        "The same, with force feedback (--feedback)": results["trimmed"],
+        "The same, with force feedback (--feedback)": results["with_feedback"],
         "The same, in the surrogate used for training": results["in_surrogate"],
     }
     for title, summaries in evaluated.items():
