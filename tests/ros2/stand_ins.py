@@ -180,7 +180,9 @@ class LifecycleNode:
     def create_service(self, service, name, answer, callback_group=None):
         self.services[name] = (answer, callback_group or self.group)
 
-    def create_timer(self, period_s, check, callback_group=None):
+    def create_timer(self, period_s, check, callback_group=None, clock=None):
+        # A timer on ROS time stands still if simulated time does.
+        assert clock == "steady"
         self.timers.append((check, callback_group or self.group))
 
     def create_publisher(self, kind, topic, quality):
@@ -293,6 +295,12 @@ def install_rclpy(patches):
         init=lambda args, signal_handler_options: None,
         create_node=create_node,
         try_shutdown=lambda: None,
+    )
+    module(
+        patches,
+        "rclpy.clock",
+        Clock=lambda clock_type: clock_type,
+        ClockType=types.SimpleNamespace(STEADY_TIME="steady"),
     )
     module(patches, "rclpy.callback_groups", MutuallyExclusiveCallbackGroup=Group)
     module(

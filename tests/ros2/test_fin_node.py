@@ -9,10 +9,10 @@ import threading
 
 import pytest
 
-from softfin.core.errors import DeviceError
+from softfin.core.errors import DeviceError, SafetyStop
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
-from softfin.rig.stop import StopRequest
+from softfin.rig.stop import StopRequest, stopped_by_signals
 from softfin.stages import driving
 from softfin_ros import managed_fin
 from softfin_ros.fin_parameters import FinParameters
@@ -135,6 +135,8 @@ class Parts:
 @pytest.fixture
 def parts(monkeypatch, tmp_path):
     made = stand_ins.install_rclpy(monkeypatch)
+    # A busy computer is no executor that hangs.
+    monkeypatch.setattr(managed_fin, "SILENCE_S", HANG_S)
     machine = GatedFin()
     controller = Controller()
     setup = RobotSetup(machine, PATIENT, settle_s=0.02)
@@ -549,15 +551,76 @@ def test_ctrl_c_after_a_failed_deactivation_returns_3(parts):
 
 def test_parameters_are_read_only_while_the_node_is_configured(there):
     node = there.node
-    assert node.set_parameter("arm", True).successful
+    assert node.set_parameter("strict", True).successful
     there.change("configure")
-    result = node.set_parameter("arm", False)
+    result = node.set_parameter("strict", False)
     assert not result.successful
-    assert result.reason == "arm: cannot be changed after configure; clean up the node first"
-    assert node.values["arm"]
+    assert result.reason == "strict: cannot be changed after configure; clean up the node first"
+    assert node.values["strict"]
     assert node.set_parameter("use_sim_time", False).successful
     there.change("cleanup")
-    assert node.set_parameter("arm", False).successful
+    assert node.set_parameter("strict", False).successful
+
+
+@pytest.mark.parametrize("name", ["arm", "autostart"])
+def test_no_other_node_may_arm_or_start_the_fin(there, name):
+    before = there.node.values[name]
+    result = there.node.set_parameter(name, not before)
+    assert result.reason == f"{name}: only at the start; set it in the parameter file"
+    assert there.node.values[name] is before
+
+
+def test_a_stop_while_the_motor_is_being_powered_leaves_the_fin_without_a_command(there):
+    there.machine.on_enable = lambda: there.node.call("~/stop")
+    there.change("configure")
+    assert there.node.change_state("activate") == FAILURE
+    assert there.machine.commands == []
+    there.machine.on_enable = lambda: None
+    there.check_refused("stopped by the service ~/stop")
+
+
+def test_a_stop_on_the_topic_while_the_motor_is_being_powered_does_so_too(there):
+    there.machine.on_enable = lambda: there.node.put_stop(True)
+    there.change("configure")
+    assert there.node.change_state("activate") == FAILURE
+    assert there.machine.commands == []
+
+
+def test_a_stop_is_not_lost_in_a_burst_of_other_messages(parts):
+    node = parts.modules.fin.FinNode()
+    # No executor runs, so only the messages themselves are noticed.
+    node.put_stop(True)
+    for _ in range(10):
+        node.put_stop(False)
+    assert "emergency stop on /tail/stop" in node._emergency_stop.reason()
+
+
+def test_an_executor_that_hangs_stops_the_fin(there, monkeypatch):
+    there.change("configure", "activate")
+    monkeypatch.setattr(managed_fin, "SILENCE_S", 0.3)
+    _, live = there.node.services["~/stop"]
+    with live.lock:
+        wait_until(lambda: not there.node._fin.is_wanted)
+    assert "no answer from the ROS executor for 0." in there.node._emergency_stop.reason()
+    monkeypatch.setattr(managed_fin, "SILENCE_S", HANG_S)
+
+
+def test_a_fault_before_a_signal_is_not_a_planned_end():
+    request = StopRequest()
+    request.ask("reference_lost", "no reference for 1 s")
+    with stopped_by_signals(request):
+        signal.raise_signal(signal.SIGINT)
+    assert request.ends_program
+    fault = SafetyStop("stopped, motor disabled", "reference_lost", True)
+    assert not managed_fin.is_planned(fault, request)
+
+
+def test_a_signal_before_all_else_is_a_planned_end():
+    request = StopRequest()
+    with stopped_by_signals(request):
+        signal.raise_signal(signal.SIGINT)
+    stop = SafetyStop("stopped, motor disabled", "emergency_stop", True)
+    assert managed_fin.is_planned(stop, request)
 
 
 def test_a_wrong_parameter_is_one_line_in_the_log_and_the_node_stays_unconfigured(there):

@@ -13,6 +13,7 @@ from pathlib import Path
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -35,7 +36,9 @@ CHECK_S = 0.1
 """Time between two checks whether the fin was stopped [s]."""
 READ_S = 0.05
 """Time between two looks at the stop topic [s]; its reader keeps ten messages."""
-THREADS = 3
+FIXED = {"arm", "autostart"}
+"""Parameters that no other node may change."""
+THREADS = 4
 """Number of callback groups, so that none waits for another."""
 
 
@@ -58,17 +61,21 @@ class FinNode(LifecycleNode):
         )
         status = FinStatus(self._transport, self._topics.pop("stop_reason_topic"), name, warn)
         self._fin = ManagedFin(self._emergency_stop, status)
+        # Ten messages after a stop would push it out of the queue.
+        self._transport.on_message = self._fin.read_stop
         # These exist only while the node is configured.
-        self._configured_transport = NodeTransport(self, live)
+        self._configured_transport = NodeTransport(self, MutuallyExclusiveCallbackGroup())
         self._is_configured = False
         self._is_active = False
-        # Transitions and `~/zero` wait for the loop; `live` never waits.
+        # Transitions and `~/zero` wait for the loop; `live` never waits, and no flood of references
+        # delays it. Simulated time may stand still, and the wall clock may be set.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._serve("~/stop", lambda: self._fin.stop("stopped by the service ~/stop"), live)
         self._serve("~/reset", self._fin.reset, live)
         self._serve("~/zero", self._fin.zero, MutuallyExclusiveCallbackGroup())
-        self.create_timer(READ_S, self._emergency_stop.reason, callback_group=live)
+        self.create_timer(READ_S, self._fin.read_stop, callback_group=live, clock=steady)
         self._is_starting = bool(self.get_parameter("autostart").value)
-        self.create_timer(CHECK_S, self._check)
+        self.create_timer(CHECK_S, self._check, clock=steady)
         self.add_on_set_parameters_callback(self._refuse_changes)
 
     def run(self, signals: StopRequest) -> int:
@@ -140,10 +147,13 @@ class FinNode(LifecycleNode):
 
     def _refuse_changes(self, changes: list[Parameter]) -> SetParametersResult:
         """Accept parameters only while they can take effect."""
-        names = sorted({each.name for each in changes} & FinParameters.model_fields.keys())
-        if not (self._is_configured and names):
+        names = {each.name for each in changes}
+        if fixed := sorted(names & FIXED):
+            reason = f"{', '.join(fixed)}: only at the start; set it in the parameter file"
+        elif own := self._is_configured and sorted(names & FinParameters.model_fields.keys()):
+            reason = f"{', '.join(own)}: cannot be changed after configure; clean up the node first"
+        else:
             return SetParametersResult(successful=True)
-        reason = f"{', '.join(names)}: cannot be changed after configure; clean up the node first"
         return SetParametersResult(successful=False, reason=reason)
 
     def _attempt(self, transition: Callable[[], None]) -> TransitionCallbackReturn:
@@ -192,6 +202,8 @@ def main() -> int:
         try:
             return node.run(signals)
         finally:
+            # The motor is off; a repeated Ctrl-C must not change the exit code.
+            signals.is_obeyed = True
             executor.shutdown(timeout_sec=1.0)
             node.destroy_node()
             rclpy.try_shutdown()

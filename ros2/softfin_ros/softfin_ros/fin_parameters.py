@@ -13,6 +13,7 @@ from softfin.rig.arming import Arming
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import Transport
 from softfin.rig.ros2.inputs import EmergencyStop
+from softfin.rig.ros2.plant import Ros2Machine
 from softfin.stages.driving import Drive, NodeDrive
 
 
@@ -73,6 +74,12 @@ class FinParameters(Configuration):
         drive = Drive.prepare(
             self.controller, self.plant, arming, None, None, config.feedback, overwrite=False
         )
+        machine = drive.robot.machine
+        if isinstance(machine, Ros2Machine) and machine.config.stop_topic == config.stop_topic:
+            raise ConfigurationError(
+                f"stop topic {config.stop_topic}: also that of the driver, so each deactivation "
+                "would stop this node; remap the topic stop of this node"
+            )
         return NodeDrive.connect(
             drive, transport, config, self.reference, self.strict, emergency_stop
         )

@@ -25,6 +25,9 @@ DEACTIVATED = "deactivated"
 
 RESET = "call the service ~/reset first"
 
+SILENCE_S = 1.0
+"""Time without `read_stop` after which the fin is stopped, because nobody could stop it [s]."""
+
 ZeroState = Literal["measured", "requested", "measuring"]
 
 
@@ -50,6 +53,8 @@ class ManagedFin:
         self._failure = ""
         """Reason why the last activation failed."""
         self._zero: ZeroState = "measured"
+        self._heard_s = time.monotonic()
+        """Time of the last call of `read_stop` [s]."""
 
     @property
     def state(self) -> SessionState:
@@ -97,11 +102,12 @@ class ManagedFin:
         """Open the devices, power the motor and start the controller."""
         with self._changed:
             # This also reads the stop topic.
-            if reason := self._emergency_stop.reason():
+            if (reason := self._emergency_stop.reason()) is not None:
                 raise RigError(f"{reason}; {RESET}")
             if self._is_over or self._driven is None:
                 raise RigError("the node is unconfigured or has ended; configure or restart it")
             self._failure = ""
+            self._heard_s = time.monotonic()
             self.is_wanted = True
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._is_active or not self.is_wanted)
@@ -119,8 +125,20 @@ class ManagedFin:
     def stop(self, reason: str) -> None:
         """Stop the fin if it moves, and refuse activations until `reset`; does not wait."""
         self._emergency_stop.stop(reason)
+        self.read_stop()
         with self._changed:
             self._changed.notify_all()
+
+    def read_stop(self) -> None:
+        """Read the stop topic, and stop the fin if a stop is remembered. The executor calls this
+        for each message and at least every `SILENCE_S`; otherwise, the loop stops the fin."""
+        self._heard_s = time.monotonic()
+        reason = self._emergency_stop.reason()
+        if reason is not None:
+            with self._changed:
+                # A command between now and the next tick of the loop is refused, too.
+                if self.is_wanted:
+                    self._request.ask("emergency_stop", reason)
 
     def reset(self) -> None:
         """Forget a stop, unless the stop topic still requests it."""
@@ -153,7 +171,8 @@ class ManagedFin:
                         self._changed.wait(SIGNAL_CHECK_S)
             if self.is_wanted:
                 self._move(request)
-        self._is_over = self._is_over or request.is_by_signal
+        if request.ends_program:
+            self._is_over = True
 
     def _move(self, request: StopRequest) -> None:
         """Move until a stop or a failure, and remember it unless it was planned."""
@@ -189,6 +208,9 @@ class ManagedFin:
             with self._changed:
                 self._is_active = True
                 self._changed.notify_all()
+        silence_s = time.monotonic() - self._heard_s
+        if silence_s > SILENCE_S:
+            self._emergency_stop.stop(f"no answer from the ROS executor for {silence_s:.1f} s")
         self._status.add(sample)
         self._publish()
 

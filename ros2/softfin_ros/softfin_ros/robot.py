@@ -11,6 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 from softfin.core.errors import SoftfinError
 from softfin.rig.ros2.rclpy import NodeTransport
 from softfin.rig.session import in_one_line
+from softfin.rig.stop import StopRequest, stopped_by_signals
 from softfin.robot.description import load_robot
 from softfin.robot.node_config import RobotNodeConfig
 from softfin.stages.robot import run_robot
@@ -29,7 +30,15 @@ FIELDS = {
 
 def main() -> int:
     """Run the node until it is stopped, and return the exit code: 3 after a stop."""
-    # softfin handles signals itself, because it must stop the fins first.
+    # softfin handles signals itself, because it must stop the fins first, and because a repeated
+    # Ctrl-C must not change the exit code.
+    signals = StopRequest()
+    signals.is_obeyed = True
+    with stopped_by_signals(signals):
+        return _run(signals)
+
+
+def _run(signals: StopRequest) -> int:
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("softfin_robot")
     parameters.declare(node, FIELDS)
@@ -46,7 +55,8 @@ def main() -> int:
         body = load_robot(robot)
         mounts = transport.publish(TF_STATIC_TOPIC, TF_MESSAGE, latched=True)
         mounts.send(encode_mounts(body, settings.vehicle_frame_id))
-        run_robot(transport, body, settings)
+        if signals.trip is None:
+            run_robot(transport, body, settings)
     except Exception as error:
         # A node that has sent references has also sent a stop to every fin by now.
         node.get_logger().error(in_one_line(error, "the node of the robot failed"))

@@ -278,6 +278,7 @@ class NodeDrive(NamedTuple):
         after_action: AfterAction = lambda result: False,
     ) -> Result:
         """Move and record as `Drive.run` does, and publish each sample."""
+        self.node.forget_references()
         result = self.drive.run(
             lambda _: self.node.reference() or self.otherwise,
             line,

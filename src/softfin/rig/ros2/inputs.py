@@ -1,6 +1,7 @@
 """Inputs to softfin's nodes: the latest reference with a timeout, and the emergency stop. Each note
 is reported only once."""
 
+import contextlib
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -47,6 +48,13 @@ class NewestReference(Generic[InputValue]):
         self._newest: tuple[float, InputValue] | None = None
         self.is_lost = False
         """Whether references were received and the latest one has expired."""
+
+    def forget(self) -> None:
+        """Forget the references so far, as at the start."""
+        with contextlib.suppress(DeviceError):
+            self.subscription.take()
+        self._newest = None
+        self.is_lost = False
 
     def newest(self) -> InputValue | None:
         """Return the latest reference; None if there is none or it has expired, which is

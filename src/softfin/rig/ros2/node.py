@@ -101,6 +101,10 @@ class RosNode:
         newest = self._references.newest()
         return self._no_force if newest is None and self._references.is_lost else newest
 
+    def forget_references(self) -> None:
+        """Forget the references before this motion."""
+        self._references.forget()
+
     def stop_reason(self) -> str | None:
         """Return the reason for a permanent stop, which may be an unreadable message; None while no
         stop is active."""

@@ -29,6 +29,8 @@ class NodeTransport:
     def __init__(self, node: Any, callback_group: object = None) -> None:
         """`callback_group` is the group of the subscriptions; None for the default group."""
         self._node = node
+        self.on_message: Callable[[], object] = lambda: None
+        """Function that is called after each message has arrived."""
         self._group = callback_group
         self._own: list[str] = []
         self._entities: list[tuple[Callable[[object], object], object]] = []
@@ -68,10 +70,14 @@ class NodeTransport:
                 raise DeviceError(f"rclpy has stopped ({self.failure}); start softfin again")
             return [waiting.popleft() for _ in range(len(waiting))]
 
+        def receive(data: Any) -> None:
+            waiting.append((bytes(data), time.monotonic()))
+            self.on_message()
+
         subscription = self._node.create_subscription(
             _class(kind),
             topic,
-            lambda data: waiting.append((bytes(data), time.monotonic())),
+            receive,
             _asked(quality, depth),
             raw=True,
             callback_group=self._group,
