@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from softfin.rig.ros2.connection import (
     BOOL,
-    BOOL,
     CREEP,
     StampClock,
     Subscription,
