@@ -79,8 +79,11 @@ class MemoryTransport:
         self.clock = clock
         self.sent = defaultdict(list)
         self.sent_at = defaultdict(list)
+        self.order = []
+        """Topics of all messages, in the order in which they were sent."""
         self.waiting = defaultdict(list)
         self.asked = defaultdict(list)
+        self.latched = {}
         self.deadlines = {}
         self.mismatched = defaultdict(int)
         self.readers = defaultdict(lambda: 1)
@@ -88,8 +91,11 @@ class MemoryTransport:
         self.commanders = []
         self.closed = False
         self.failing = False
+        self.is_deaf = False
+        """Whether nothing is received any more, while messages are still sent."""
 
-    def publish(self, topic, kind, deadline_s=None):
+    def publish(self, topic, kind, deadline_s=None, latched=False):
+        self.latched[topic] = latched
         self.deadlines[topic] = deadline_s
 
         def send(data):
@@ -98,6 +104,7 @@ class MemoryTransport:
             known = kind in self.messages.types.fielddefs
             self.sent[topic].append(self.messages.decode(data, kind) if known else data)
             self.sent_at[topic].append(self.clock())
+            self.order.append(topic)
 
         return Publisher(send, lambda: self.readers[topic])
 
@@ -107,11 +114,12 @@ class MemoryTransport:
 
         def take():
             nonlocal taken
-            if self.failing:
+            if self.failing or self.is_deaf:
                 raise DeviceError("the transport has stopped")
             news = self.waiting[topic][taken:]
             taken = len(self.waiting[topic])
-            return [(data, at) for data, at, offered in news if quality in HEARD_BY[offered]]
+            heard = [(data, at) for data, at, offered in news if quality in HEARD_BY[offered]]
+            return heard[-depth:]
 
         return Subscriber(take, lambda: self.mismatched[topic], lambda: self.publishing[topic])
 

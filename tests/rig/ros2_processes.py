@@ -19,7 +19,7 @@ from typing import Any
 
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.idl.types import byte, float64, int32, sequence, uint32
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -101,6 +101,37 @@ class Wrench(IdlStruct, typename="geometry_msgs::msg::dds_::Wrench_"):
 class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped_"):
     header: Header
     wrench: Wrench
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str
+
+
+@dataclass
+class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):
+    data: float64
+
+
+@dataclass
+class KeyValue(IdlStruct, typename="diagnostic_msgs::msg::dds_::KeyValue_"):
+    key: str
+    value: str
+
+
+@dataclass
+class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticStatus_"):
+    level: byte
+    name: str
+    message: str
+    hardware_id: str
+    values: sequence[KeyValue]
+
+
+@dataclass
+class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticArray_"):
+    header: Header
+    status: sequence[DiagnosticStatus]
 
 
 @dataclass
@@ -207,33 +238,51 @@ def sensor(_: Path) -> dict[str, Any]:
 
 def node(_: Path) -> dict[str, Any]:
     """A node: the child reads what it says, then asks for a force and a stop."""
+    from softfin.core.errors import RigError
     from softfin.rig.machine import Sample, Target
     from softfin.rig.ros2.config import NodeConfig, TransportConfig
+    from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
     from softfin.rig.ros2.node import RosNode
     from softfin.rig.ros2.plant import open_transport
+    from softfin.rig.stop import StopRequest
+
+    # Pytest's path is not that of its processes.
+    sys.path.append(str(Path(__file__).parents[2] / "ros2" / "softfin_ros"))
+    from softfin_ros.status import FinStatus
 
     transport = open_transport(TransportConfig(transport="dds"))
-    ros_node = RosNode(transport, NodeConfig(reference_timeout_s=None), print)
+    topics = NodeConfig(reference_timeout_s=None)
+    emergency_stop = EmergencyStop(transport, topics.stop_topic, OnceReporter(print))
+    status = FinStatus(transport, "/fin/stop_reason", "fin", print)
+    ros_node = RosNode(
+        transport, topics, print, torque_constant_nm_a=2.0, emergency_stop=emergency_stop
+    )
     reference = stop = None
     deadline = time.monotonic() + HANG_S
     tick = 0
     while stop is None and time.monotonic() < deadline:
         tick += 1
         now = time.monotonic()
-        ros_node.publish(
-            Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
-            Target(0.001 * tick, 2.0),
-        )
+        sample = Sample(now, 0.25, -0.5, 0.5, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ())
+        ros_node.observe(StopRequest(), sample, Target(0.001 * tick, 2.0))
+        status.add(sample)
+        status.update("active", "")
         reference = ros_node.reference() or reference
         stop = ros_node.stop_reason()
         time.sleep(0.01)
     listening = ros_node.joint.readers()
+    refusals = []
+    try:
+        emergency_stop.reset()
+    except RigError as error:
+        refusals.append(str(error))
     transport.close()
     return {
         "reference": reference,
         "stop": stop,
         "unsent": ros_node.counters()["unsent"],
         "listening": listening,
+        "refusals": refusals,
     }
 
 
@@ -359,8 +408,8 @@ class Child:
     def writer(self, name: str, kind: Any, quality: Qos = QUALITY) -> Any:
         return DataWriter(self.participant, self.topic(name, kind), qos=quality)
 
-    def reader(self, name: str, kind: Any) -> Any:
-        return DataReader(self.participant, self.topic(name, kind), qos=QUALITY)
+    def reader(self, name: str, kind: Any, quality: Qos = QUALITY) -> Any:
+        return DataReader(self.participant, self.topic(name, kind), qos=quality)
 
 
 def taken(reader: Any) -> list[Any]:
@@ -469,12 +518,16 @@ def node_child(folder: Path) -> None:
             ("joint_states", JointState),
             ("wrench", WrenchStamped),
             ("command", JointState),
+            ("current", Float64),
         )
     }
+    readers["diagnostics"] = child.reader("/diagnostics", DiagnosticArray)
+    # Sent before this process has started.
+    readers["stop_reason"] = child.reader("/fin/stop_reason", String, OFFERS["latched"])
     references = child.writer("/fin/reference", WrenchStamped)
     stops = child.writer("/fin/stop", Bool)
     seen: dict[str, str] = {}
-    while len(seen) < 3:
+    while len(seen) < len(readers):
         for name, reader in readers.items():
             for sample in taken(reader):
                 seen[name] = sample.serialize(use_version_2=False).hex()

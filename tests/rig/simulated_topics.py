@@ -26,7 +26,9 @@ class SimulatedTransport:
         self._queues: list[tuple[tuple[str, str], deque[tuple[bytes, float]]]] = []
         """Topics and types of the subscribers, with the messages that they have not taken."""
 
-    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
+    def publish(
+        self, topic: str, kind: str, deadline_s: float | None = None, latched: bool = False
+    ) -> Publisher:
         """Create a publisher; `deadline_s` has no effect."""
         channel = (topic, kind)
         self._published.append(channel)

@@ -340,6 +340,16 @@ def test_a_transport_that_ends_is_a_stop():
         pool.node.run(pool.request)
 
 
+def test_a_node_that_hears_nothing_keeps_sending_its_stops():
+    pool = Pool()
+    pool.obey = False
+    pool.at(1.0, lambda: setattr(pool.transport, "is_deaf", True))
+    with pytest.raises(SafetyStop, match="cannot receive messages"):
+        pool.node.run(pool.request)
+    for name in FINS:
+        assert len(pool.transport.sent[f"/{name}/stop"]) > 20
+
+
 def test_a_later_ctrl_c_does_not_cut_short_the_stop_of_the_fins(monkeypatch):
     monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", -1.0)
     pool = Pool()

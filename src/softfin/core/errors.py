@@ -59,6 +59,13 @@ class SafetyStop(RunError):
 
     exit_code = 3
 
+    def __init__(self, message: str, cause: str = "", is_confirmed: bool = False) -> None:
+        super().__init__(message)
+        self.cause = cause
+        """Short name of the reason as in recordings, e.g. ``force_peak``; empty if unknown."""
+        self.is_confirmed = is_confirmed
+        """Whether the machine has confirmed the stop, if it can ever do so."""
+
 
 def one_line(error: BaseException) -> str:
     """Return the message of an error as one line of at most 300 characters, or its type if it has

@@ -116,6 +116,13 @@ def machine_clock(machine: object) -> Clock:
     return clock
 
 
+def torque_constant(machine: object) -> float | None:
+    """Return the torque of a machine per ampere of motor current [N m/A]; None if unknown."""
+    # Only a rig has a configured drive.
+    constant_nm_a = getattr(machine, "torque_constant_nm_a", None)
+    return None if constant_nm_a is None else float(constant_nm_a)
+
+
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
     """Return the rotation from the sensor axes to softfin's axes; `frame` contains the sensor axes
     along +x and +y, e.g. ``y,-x``.

@@ -119,6 +119,7 @@ class Session:
         self._unwatch()
         self.machine.stop()
         unconfirmed = self.machine.stop_unconfirmed
+        is_confirmed = self._is_confirmed()
         was_reported = self.state == "stopped"
         if not was_reported:
             self._record_event(
@@ -134,7 +135,7 @@ class Session:
             # The terminal may be closed.
             with contextlib.suppress(OSError):
                 self._warn(warning)
-        if not was_reported and unconfirmed not in (None, self._never_confirmed):
+        if not was_reported and not is_confirmed:
             # Regardless of why the session ended, warn the operator that the fin may not be safe.
             reason = (
                 "the session ended"
@@ -265,7 +266,7 @@ class Session:
         # The watchdog must not mistake slow braking for a silent loop.
         self._unwatch()
         self.machine.stop()
-        if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
+        if not self._is_confirmed():
             self.abort(Trip("motor_on", "the drive did not confirm power-off"))
         if self.state == "active":
             self._leave("inactive")
@@ -349,9 +350,14 @@ class Session:
             self._record_event(f"stopped: {trip.cause}: {trip.reason}")
         unconfirmed = self.machine.stop_unconfirmed
         if unconfirmed is None:
-            raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
+            raise SafetyStop(f"stopped, motor disabled: {trip.reason}", trip.cause, True)
         self._record_event(f"but {unconfirmed}")
-        raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
+        is_confirmed = self._is_confirmed()
+        raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}", trip.cause, is_confirmed)
+
+    def _is_confirmed(self) -> bool:
+        """Return whether the motor is off, as far as the machine can ever confirm it."""
+        return self.machine.stop_unconfirmed in (None, self._never_confirmed)
 
     def _await_good_ticks(self) -> Sample:
         """Tick until all checks have passed for `GOOD_TICKS` ticks, because devices need a moment

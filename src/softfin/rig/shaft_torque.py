@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.quantities import RATE_HZ, TICK_S
-from softfin.rig.machine import WRENCH_CHANNELS, Sample
+from softfin.rig.machine import WRENCH_CHANNELS, Sample, torque_constant
 from softfin.rig.session import MeasuredForce, Session, Warn
 
 STROKE_RAD = 0.1
@@ -159,10 +159,9 @@ class ShaftTorque:
 
     def _constant(self, current: _Series) -> float:
         """Return the torque constant [N m/A]; NaN if it is unknown."""
-        # Only a rig has a configured drive.
-        constant_nm_a = getattr(self._session.machine, "torque_constant_nm_a", None)
+        constant_nm_a = torque_constant(self._session.machine)
         if constant_nm_a is not None:
-            return float(constant_nm_a)
+            return constant_nm_a
         if np.isfinite(current).any():
             # Otherwise, both lines would ask for the torque constant.
             self._is_missing = False

@@ -33,6 +33,10 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.trip: Trip | None = None
+        self.ends_program = False
+        """Whether a signal has arrived, which also ends the program."""
+        self.is_by_signal = False
+        """Whether a signal is the first reason of the stop."""
         self.is_obeyed = False
         """Whether the machine is being stopped, which takes a bounded time and must not be
         interrupted by signals."""
@@ -56,6 +60,8 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
             # The first signal had no effect, e.g. because figures are being drawn; now end the
             # program as usual.
             raise KeyboardInterrupt
+        request.ends_program = True
+        request.is_by_signal = request.is_by_signal or request.trip is None
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
     with _handling_signals(handle):

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from softfin.rig.loop import (
     recorded_reference,
     run_controller,
 )
-from softfin.rig.machine import machine_clock
+from softfin.rig.machine import machine_clock, torque_constant
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
 from softfin.rig.safety import Guard
@@ -51,7 +51,15 @@ from softfin.stages.machines import find_robot
 from softfin.storage import artifact as artifacts
 from softfin.storage.paths import check_reference_file
 
+if TYPE_CHECKING:
+    from softfin.rig.ros2.connection import Transport
+    from softfin.rig.ros2.inputs import EmergencyStop
+    from softfin.rig.ros2.node import RosNode
+
 STOP_KEY = "press Enter alone to stop the fin"
+
+AfterAction: TypeAlias = Callable[[ActionResult], bool]
+"""Function that receives each action and returns whether the force is to be zeroed again."""
 
 
 class RunConfig(Configuration):
@@ -103,14 +111,17 @@ class Drive(NamedTuple):
     def run(
         self,
         references: ReferenceSource,
-        line: Callable[[str], None],
+        line: Callable[[str], None] | None,
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
         keys: str = STOP_KEY,
+        after_action: AfterAction = lambda result: False,
     ) -> Result:
         """Ask for confirmation, then move and record.
 
-        `line` is called with each typed line; `keys` describes the possible input. Returns the path
+        `line` is called with each typed line, or None if nobody can type; `keys` describes the
+        possible input. If `after_action` returns True, the fin goes to rest, and the controller
+        starts again with a new offset of the force sensor. Returns the path
         of the recording and the errors over its last window, which are also printed if the fin is
         stopped.
         """
@@ -130,14 +141,18 @@ class Drive(NamedTuple):
                     "controller: no training range stored, so softfin cannot detect when the fin "
                     "leaves it"
                 )
-            listen_on_terminal(stop, line)
+            if line is not None:
+                listen_on_terminal(stop, line)
             # An existing recording is replaced only after the confirmation.
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
             with session.recording(bag):
                 session.activate()
-                zero = session.rest(self.robot.settle_s)
-                self._follow(session, references, zero, summary, keys)
+                needs_zero = True
+                while needs_zero:
+                    zero = session.rest(self.robot.settle_s)
+                    results = self._follow(session, references, zero, summary, keys)
+                    needs_zero = any(after_action(result) for result in results)
                 session.deactivate()
         result = {
             "bag": str(bag),
@@ -154,9 +169,9 @@ class Drive(NamedTuple):
         zero: Force,
         summary: JsonObject,
         keys: str,
-    ) -> None:
-        """Run the controller and show its state every second; `summary` receives the errors over
-        the last window."""
+    ) -> Iterator[ActionResult]:
+        """Run the controller, yield each action and show its state every second; `summary` receives
+        the errors over the last window."""
         controller = self.acting
         reachable = controller.reachable
         decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
@@ -206,6 +221,74 @@ class Drive(NamedTuple):
             means_w = np.mean([each.power for each in window], axis=0).tolist()
             if powers := mean_powers(math.hypot(x, y), means_w):
                 summary["power"] = powers
+            yield result
+
+
+class NodeDrive(NamedTuple):
+    """A drive whose references come from a topic."""
+
+    drive: Drive
+    node: "RosNode"
+    otherwise: Force
+    """Reference while the topic has no recent message [N]."""
+
+    @classmethod
+    def connect(
+        cls,
+        drive: Drive,
+        transport: "Transport",
+        topics: NodeConfig,
+        reference: Force,
+        strict: bool,
+        emergency_stop: "EmergencyStop | None" = None,
+    ) -> "NodeDrive":
+        """Create the topics; `strict` rejects unreachable references. Raises RigError if the
+        machine does not work with topics."""
+        from softfin.rig.ros2.node import RosNode, default_reference_limit
+        from softfin.rig.ros2.plant import Ros2Machine
+
+        machine = drive.robot.machine
+        if machine_clock(machine).is_simulated:
+            raise RigError(
+                f"{machine.name}: emulated in simulated time, which does not work with topics; "
+                "start softfin rig emulate --real-time"
+            )
+        if isinstance(machine, Ros2Machine):
+            machine.config.check_apart(topics)
+        otherwise, warning = resolve_reference(drive.controller, reference, strict)
+        node = RosNode(
+            transport,
+            topics,
+            say,
+            lambda asked: resolve_reference(drive.controller, asked, strict),
+            default_limit_n=default_reference_limit(drive.controller),
+            torque_constant_nm_a=torque_constant(machine),
+            emergency_stop=emergency_stop,
+        )
+        for note in (*transport.notes, *([] if warning is None else [warning])):
+            say(note)
+        return cls(drive, node, otherwise)
+
+    def run(
+        self,
+        stop: StopRequest,
+        line: Callable[[str], None] | None,
+        observers: Sequence[Observer] = (),
+        keys: str = STOP_KEY,
+        after_action: AfterAction = lambda result: False,
+    ) -> Result:
+        """Move and record as `Drive.run` does, and publish each sample."""
+        self.node.forget_references()
+        result = self.drive.run(
+            lambda _: self.node.reference() or self.otherwise,
+            line,
+            stop,
+            (functools.partial(self.node.observe, stop), *observers),
+            keys,
+            after_action,
+        )
+        result["counters"] |= self.node.counters()
+        return result
 
 
 def _described_estimate(estimate: Estimate, decimals: int) -> str:
@@ -359,8 +442,7 @@ def ros2(
     Raises:
         SafetyStop: If the fin was stopped.
     """
-    from softfin.rig.ros2.node import RosNode, default_reference_limit
-    from softfin.rig.ros2.plant import Ros2Machine, open_transport
+    from softfin.rig.ros2.plant import open_transport
 
     defaults = NodeConfig() if fin is None else NodeConfig.of_fin(fin)
     topics = configure(
@@ -372,38 +454,14 @@ def ros2(
     drive = Drive.prepare(
         controller, plant, Arming(arm, yes), seconds, bag, topics.feedback, overwrite
     )
-    machine = drive.robot.machine
-    if machine_clock(machine).is_simulated:
-        raise RigError(
-            f"{machine.name}: emulated in simulated time, which does not work with topics; start "
-            "softfin rig emulate --real-time"
-        )
-    if isinstance(machine, Ros2Machine):
-        machine.config.check_apart(topics)
-    otherwise, warning = resolve_reference(drive.controller, reference, strict)
     # Opened before the machine so that problems with ROS 2 appear before anything moves.
     transport = open_transport(topics.connection)
     try:
-        node = RosNode(
-            transport,
-            topics,
-            say,
-            lambda asked: resolve_reference(drive.controller, asked, strict),
-            default_limit_n=default_reference_limit(drive.controller),
-        )
-        for note in (*transport.notes, *([] if warning is None else [warning])):
-            say(note)
-        stop = StopRequest()
-        result = drive.run(
-            lambda _: node.reference() or otherwise,
-            lambda _: say(f"references come from the topic; {STOP_KEY}"),
-            stop,
-            (functools.partial(node.observe, stop),),
-        )
-        result["counters"] |= node.counters()
+        driven = NodeDrive.connect(drive, transport, topics, reference, strict)
+        line = f"references come from the topic; {STOP_KEY}"
+        return driven.run(StopRequest(), lambda _: say(line))
     finally:
         transport.close()
-    return result
 
 
 def typed_fields(connection: TransportConfig | None) -> JsonObject | None:

@@ -21,8 +21,10 @@ from softfin.stages.driving import typed_fields
 from softfin.storage import artifact as artifacts
 
 if TYPE_CHECKING:
+    from softfin.rig.ros2.connection import Transport
     from softfin.robot.description import RobotConfig
     from softfin.robot.evaluate import SimulatedFin
+    from softfin.robot.node_config import RobotNodeConfig
 
 ROBOT = Parameter(metavar="ROBOT")
 
@@ -135,11 +137,8 @@ def ros2(
         config: `RobotNodeConfig`; its fields are options too.
         connection: How to reach other nodes.
     """
-    from softfin.rig.arming import on_terminal, say, typed
     from softfin.rig.ros2.plant import open_transport
-    from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
     from softfin.robot.description import load_robot
-    from softfin.robot.node import RobotNode
     from softfin.robot.node_config import RobotNodeConfig
 
     settings = configure(
@@ -147,18 +146,28 @@ def ros2(
     )
     body = load_robot(str(robot))
     transport = open_transport(settings.connection)
-    request = StopRequest()
     try:
-        node = RobotNode(transport, body, settings, say)
-        for note in transport.notes:
-            say(note)
-        if on_terminal():
-            line = "wrenches come from the topic; press Enter alone to stop the fins"
-            listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
-        with stopped_by_signals(request):
-            node.run(request)
+        run_robot(transport, body, settings)
     finally:
         transport.close()
+
+
+def run_robot(transport: "Transport", robot: "RobotConfig", settings: "RobotNodeConfig") -> None:
+    """Distribute wrenches until Enter, a signal or a topic stops the node, which raises
+    SafetyStop."""
+    from softfin.rig.arming import on_terminal, say, typed
+    from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
+    from softfin.robot.node import RobotNode
+
+    request = StopRequest()
+    node = RobotNode(transport, robot, settings, say)
+    for note in transport.notes:
+        say(note)
+    if on_terminal():
+        line = "wrenches come from the topic; press Enter alone to stop the fins"
+        listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
+    with stopped_by_signals(request):
+        node.run(request)
 
 
 def simulated_fins(

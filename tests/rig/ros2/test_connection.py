@@ -184,3 +184,13 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
             assert told[0] <= 1.0 + case
     assert sum(subscription.received for subscription in subscriptions) == cases
     assert all(subscription.refused > subscription.received / 4 for subscription in subscriptions)
+
+
+def test_a_reader_in_memory_keeps_as_many_messages_as_asked_for():
+    transport = MemoryTransport()
+    takes = [transport.subscribe("/x", BOOL, depth=depth).take for depth in (3, 10)]
+    for number in range(12):
+        transport.put("/x", bytes([number]))
+    first = [[data[0] for data, _ in take()] for take in takes]
+    assert first == [[9, 10, 11], list(range(2, 12))]
+    assert [take() for take in takes] == [[], []]

@@ -16,7 +16,8 @@ from tests import needs
 needs.module("cyclonedds", "the extra ros2 is not installed")
 
 from softfin.rig.ros2 import dds
-from softfin.storage.bag.messages import type_store
+from softfin.storage.bag.messages import FLOAT, STRING, type_store
+from softfin_ros.diagnostics import DIAGNOSTICS
 from tests.patience import HANG_S
 from tests.rig.ros2_memory import JOINT, WRENCH, Messages
 from tests.rig.ros2_processes import within
@@ -158,6 +159,8 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert told["stop"] == "emergency stop on /fin/stop"
     assert told["unsent"] == 0
     assert told["listening"] == 1
+    (refusal,) = told["refusals"]
+    assert refusal == "/fin/stop: still requests a stop; publish false on it first"
     messages = Messages()
     seen = {
         name: bytes.fromhex(data)
@@ -170,6 +173,11 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert abs(joint.header.stamp.sec - time.time()) < 120
     assert read_joint(messages.decode(seen["command"], JOINT), "fin")[1] == 2.0
     assert messages.encode(wrench) == seen["wrench"]
+    assert joint.effort.tolist() == [1.0], "0.5 A at 2 N m/A"
+    assert messages.decode(seen["current"], FLOAT).data == 0.5
+    assert messages.decode(seen["stop_reason"], STRING).data == ""
+    diagnostics = messages.decode(seen["diagnostics"], DIAGNOSTICS)
+    assert diagnostics.status[0].name == "fin: fin"
 
 
 @pytest.mark.real_time

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.core.errors import ConfigurationError, CoverageError, RigError
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.inputs import OnceReporter
+from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
 from softfin.rig.ros2.node import RosNode, default_reference_limit
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport
@@ -132,7 +132,14 @@ def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robo
     config = NodeConfig.of_fin("ucat/front_left")
     assert {value for name, value in config if name.endswith("_topic")} == {
         f"/ucat/front_left/{name}"
-        for name in ("joint_states", "wrench", "command", "reference", "stop")
+        for name in (
+            "joint_states",
+            "wrench",
+            "command",
+            "reference",
+            "stop",
+            "current",
+        )
     }
     assert config.connection.node == "ucat_front_left"
     assert config.reference_lost == "stop"
@@ -313,3 +320,126 @@ def test_twenty_different_remarks_are_reported_once_each_and_no_more():
         for number in range(30):
             once(f"remark {number}")
     assert reported == [f"remark {number}" for number in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("current", "constant", "effort"), [(0.5, 2.0, [1.0]), (0.5, None, []), (None, 2.0, [])]
+)
+def test_the_effort_is_the_torque_of_the_motor_if_it_is_known(current, constant, effort):
+    transport = MemoryTransport()
+    node = RosNode(transport, NodeConfig(), print, torque_constant_nm_a=constant)
+    node.publish(SAMPLE._replace(current=current), Target(0.0, 1.0))
+    assert transport.sent["/fin/joint_states"][0].effort.tolist() == effort
+    currents = [message.data for message in transport.sent["/fin/current"]]
+    assert currents == ([] if current is None else [current])
+    # The command is more urgent than what is only measured.
+    assert transport.order[2:] == ["/fin/command", *["/fin/current"] * len(currents)]
+
+
+@pytest.mark.parametrize(
+    ("frame", "is_accepted"),
+    [
+        ("tail/fin_mount", True),
+        ("", True),
+        ("fin_mount", True),
+        ("front/fin_mount", False),
+        ("tail", False),
+    ],
+)
+def test_the_frame_of_a_fin_of_a_robot_may_be_named_without_the_fin(frame, is_accepted):
+    transport = MemoryTransport()
+    node = RosNode(transport, NodeConfig.of_fin("tail"), print, clock=lambda: 0.0)
+    wrench = transport.messages.wrench(7, frame, (1.0, 2.0, 0.0, 0.0, 0.0, 0.0))
+    transport.put("/tail/reference", wrench)
+    assert node.reference() == ((1.0, 2.0) if is_accepted else None)
+    node.publish(SAMPLE, None)
+    assert transport.sent["/tail/wrench"][0].header.frame_id == "tail/fin_mount"
+
+
+class Stop:
+    """The stop on a topic."""
+
+    def __init__(self):
+        self.transport = MemoryTransport()
+        self.memory = EmergencyStop(self.transport, "/fin/stop", OnceReporter(print))
+
+    def put(self, asked, offered="reliable"):
+        message = self.transport.messages.make("std_msgs/msg/Bool", asked)
+        self.transport.put("/fin/stop", message, offered=offered)
+
+
+def test_a_stop_is_reset_when_its_topic_no_longer_requests_it():
+    stop = Stop()
+    stop.put(True)
+    assert stop.memory.reason() == "emergency stop on /fin/stop"
+    with pytest.raises(RigError, match="/fin/stop: still requests a stop; publish false"):
+        stop.memory.reset()
+    stop.put(False)
+    stop.memory.reset()
+    assert stop.memory.reason() is None
+    stop.put(True)
+    assert stop.memory.reason() == "emergency stop on /fin/stop"
+
+
+def test_a_stop_that_arrives_with_a_refused_reset_is_remembered():
+    stop = Stop()
+    stop.put(True)
+    with pytest.raises(RigError, match="still requests a stop"):
+        stop.memory.reset()
+    assert stop.memory.reason() == "emergency stop on /fin/stop"
+
+
+@pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched"])
+def test_a_second_publisher_does_not_take_back_a_stop_that_readers_still_hold(offered):
+    stop = Stop()
+    stop.put(True, "from before")
+    stop.put(False, "reliable")
+    with pytest.raises(RigError, match="still requests a stop"):
+        stop.memory.reset()
+    stop.put(True, offered)
+    stop.put(False, "latched")
+    stop.memory.reset()
+    assert stop.memory.reason() is None
+
+
+@pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched"])
+def test_an_unreadable_stop_is_reset_only_after_a_readable_message(offered):
+    stop = Stop()
+    stop.transport.put("/fin/stop", b"\x00\x01\x00\x00", offered=offered)
+    with pytest.raises(RigError, match="publish false"):
+        stop.memory.reset()
+    stop.put(False, offered)
+    stop.memory.reset()
+    assert stop.memory.reason() is None
+
+
+def test_a_stop_that_cannot_be_received_is_not_reset():
+    stop = Stop()
+    stop.transport.failing = True
+    with pytest.raises(RigError):
+        stop.memory.reset()
+    assert "cannot be received" in stop.memory.reason()
+
+
+def test_reasons_of_several_stops_are_kept_once_each():
+    stop = Stop()
+    stop.memory.stop("by hand")
+    stop.memory.stop("by hand")
+    assert stop.memory.reason() == "by hand"
+    stop.memory.stop("stopped: by hand; BUT the motor may be on")
+    stop.memory.stop("by hand")
+    assert stop.memory.reason() == "stopped: by hand; BUT the motor may be on"
+    stop.memory.stop("a wave")
+    assert stop.memory.reason() == "stopped: by hand; BUT the motor may be on; a wave"
+    stop.memory.reset()
+    assert stop.memory.reason() is None
+
+
+def test_a_node_may_share_its_memory_of_a_stop():
+    stop = Stop()
+    node = RosNode(stop.transport, NodeConfig(), print, emergency_stop=stop.memory)
+    stop.memory.stop("by hand")
+    request = StopRequest()
+    node.observe(request, SAMPLE, None)
+    assert request.trip == ("emergency_stop", "by hand")
+    assert len(stop.transport.asked["/fin/stop"]) == 3

@@ -13,6 +13,7 @@ from softfin.rig.ros2.connection import BOOL, Transport
 from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import open_transport
+from softfin.rig.ros2.rclpy import NodeTransport
 from tests.patience import HANG_S, wait_until
 from tests.rig.ros2_memory import JOINT, WRENCH
 
@@ -45,7 +46,8 @@ class Rclpy:
             "rclpy.duration": types.SimpleNamespace(Duration=lambda seconds: f"{seconds} s"),
             "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
             "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
-            "std_msgs.msg": types.SimpleNamespace(Bool="Bool"),
+            "std_msgs.msg": types.SimpleNamespace(Bool="Bool", Float64="Float64", String="String"),
+            "diagnostic_msgs.msg": types.SimpleNamespace(DiagnosticArray="DiagnosticArray"),
         }
         for name, fields in names.items():
             module = types.ModuleType(name)
@@ -68,6 +70,7 @@ class Rclpy:
 
     def create_node(self, name, *, context):
         self.calls.append(("create_node", name, context))
+        self.name = name
         return self
 
     def executor(self, *, context):
@@ -100,10 +103,20 @@ class Rclpy:
 
         return types.SimpleNamespace(publish=publish, get_subscription_count=lambda: 3)
 
-    def create_subscription(self, kind, topic, callback, quality, *, raw):
+    def get_fully_qualified_name(self):
+        return f"/{self.name}"
+
+    def create_subscription(self, kind, topic, callback, quality, *, raw, callback_group):
         assert raw
+        assert callback_group is None
         self.calls.append(("create_subscription", kind, topic, quality))
         self.subscriptions[topic] = callback
+
+    def destroy_publisher(self, publisher):
+        self.calls.append(("destroy_publisher",))
+
+    def destroy_subscription(self, subscription):
+        self.calls.append(("destroy_subscription",))
 
     def get_publishers_info_by_topic(self, topic):
         names = {
@@ -179,6 +192,24 @@ def test_a_command_topic_offers_its_deadline_and_that_only_messages_keep_it_aliv
         "liveliness_lease_duration": "0.2 s",
     }
     assert ("create_publisher", "JointState", "/command", offered) in rclpy.calls
+
+
+def test_a_latched_topic_keeps_its_last_message_for_later_readers(rclpy, transport):
+    transport.publish("/ours", JOINT, latched=True)
+    offered = {"depth": 1, "reliability": "reliable", "durability": "transient local"}
+    assert ("create_publisher", "JointState", "/ours", offered) in rclpy.calls
+
+
+def test_a_transport_over_a_node_of_others_destroys_only_what_it_made(rclpy):
+    rclpy.name = "tail"
+    transport = NodeTransport(rclpy)
+    for _ in range(2):
+        transport.publish("/command", JOINT)
+        transport.subscribe("/stop", BOOL)
+        assert transport.publishers("/command") == ["/teleop"]
+        rclpy.calls.clear()
+        transport.close()
+        assert sorted(rclpy.calls) == [("destroy_publisher",), ("destroy_subscription",)]
 
 
 def test_an_emergency_stop_has_a_reader_for_every_kind_of_publisher(rclpy, transport):

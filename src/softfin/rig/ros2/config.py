@@ -66,7 +66,8 @@ class NodeConfig(Configuration):
     """Topics and frames of the node; `softfin import-logs` looks for these names in a bag."""
 
     joint_topic: TopicName = "/fin/joint_states"
-    """sensor_msgs/JointState for every sample: angle [rad] and velocity [rad/s]."""
+    """sensor_msgs/JointState for every sample: angle [rad], velocity [rad/s] and, if the motor
+    current and the torque constant are known, effort: the torque of the motor [N m]."""
     wrench_topic: TopicName = "/fin/wrench"
     """geometry_msgs/WrenchStamped for every sample: force [N] and torque [N m] of the fin on its
     mount."""
@@ -76,6 +77,8 @@ class NodeConfig(Configuration):
     """geometry_msgs/WrenchStamped: reference force (x, y) [N]."""
     stop_topic: TopicName = "/fin/stop"
     """std_msgs/Bool: true stops the fin; false does not cancel the stop."""
+    current_topic: TopicName = "/fin/current"
+    """std_msgs/Float64 for every sample whose motor current is known [A]."""
     joint_name: str = "fin"
     """Name of the joint in the messages."""
     frame: str = "fin_mount"
@@ -96,15 +99,20 @@ class NodeConfig(Configuration):
 
     @classmethod
     def of_fin(cls, name: str) -> "NodeConfig":
-        """Return the defaults for one fin of a robot: topics under the name of the fin, and a stop
-        if the robot node is lost."""
+        """Return the defaults for one fin of a robot: topics and frame under the name of the fin,
+        and a stop if the robot node is lost."""
         if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
             raise ConfigurationError(
                 f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, e.g. "
                 "front_left, or ucat/front_left in a namespace"
             )
         connection = TransportConfig(node=name.replace("/", "_"))
-        return cls(**fin_topics(name), reference_lost="stop", connection=connection)
+        return cls(
+            **fin_topics(name),
+            frame=f"{name}/fin_mount",
+            reference_lost="stop",
+            connection=connection,
+        )
 
     @model_validator(mode="after")
     def _check(self) -> "NodeConfig":
@@ -124,6 +132,7 @@ def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
         "command_topic": f"{prefix}/{name}/command",
         "reference_topic": f"{prefix}/{name}/reference",
         "stop_topic": f"{prefix}/{name}/stop",
+        "current_topic": f"{prefix}/{name}/current",
     }
 
 
@@ -192,7 +201,13 @@ class Ros2PlantConfig(Configuration):
         """Raise RigError if the node would publish on a topic of this fin, or would read its
         references from such a topic."""
         ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
-        for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
+        for name in (
+            "joint_topic",
+            "wrench_topic",
+            "command_topic",
+            "reference_topic",
+            "current_topic",
+        ):
             if (topic := getattr(node, name)) in ours:
                 raise RigError(
                     f"{name} = {topic}: already a topic of the fin; use a different one: --set "

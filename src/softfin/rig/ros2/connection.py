@@ -86,8 +86,13 @@ class Transport(Protocol):
     notes: tuple[str, ...]
     """Notes for the user on the connection, one line each."""
 
-    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
+    def publish(
+        self, topic: str, kind: str, deadline_s: float | None = None, latched: bool = False
+    ) -> Publisher:
         """Create a publisher with the settings reliable, keep last 10 and volatile.
+
+        If it is `latched`, it keeps only its last message, also for later readers that request a
+        latched quality (transient local).
 
         With `deadline_s`, the publisher offers this deadline and manual-by-topic liveliness with
         the same lease [s]. The middleware of a reader can then report missing messages. Readers
@@ -256,9 +261,10 @@ def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
 
 
 def check_frame(message: Any, frame: str) -> None:
-    """Raise ValueError if a message is in a different frame; an empty frame means ours."""
+    """Raise ValueError if a message is in a different frame; an empty frame means ours, as does the
+    name of our frame without the prefix of a fin."""
     theirs = message.header.frame_id
-    if theirs not in ("", frame):
+    if theirs not in ("", frame, frame.rpartition("/")[2]):
         raise ValueError(f"its frame is {theirs!r}, expected {frame!r}")
 
 

@@ -45,7 +45,7 @@ URI = "CYCLONEDDS_URI"
 # Type checkers do not understand the brackets that contain the lengths of these types.
 IDL: Any = types
 
-BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
+BASES = {"byte": types.byte, "char": types.uint8, "string": str, "bool": bool}
 """ROS 2 types with different names in IDL."""
 
 PROCESS = {"__ProcessName", "__Pid", "__Hostname"}
@@ -157,10 +157,12 @@ class DdsTransport:
         self._others: dict[UUID, Any] = {}
         """Publishers of other nodes, by key."""
 
-    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
+    def publish(
+        self, topic: str, kind: str, deadline_s: float | None = None, latched: bool = False
+    ) -> Publisher:
         """Create a writer."""
         there = self._topic(topic, kind)
-        writer: Any = DataWriter(self._participant, there, qos=_offered(deadline_s))
+        writer: Any = DataWriter(self._participant, there, qos=_offered(deadline_s, latched))
         self._own.add(str(writer.get_guid()))
 
         def send(data: bytes) -> None:
@@ -280,8 +282,10 @@ def _asked(quality: Quality, depth: int) -> Qos:
     )
 
 
-def _offered(deadline_s: float | None) -> Qos:
+def _offered(deadline_s: float | None, latched: bool) -> Qos:
     """Return the quality of service for a writer."""
+    if latched:
+        return _asked("latched", 1)
     policies = _asked("reliable", DEPTH)
     if deadline_s is None:
         return policies

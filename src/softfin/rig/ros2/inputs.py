@@ -1,10 +1,12 @@
 """Inputs to softfin's nodes: the latest reference with a timeout, and the emergency stop. Each note
 is reported only once."""
 
+import contextlib
+import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from softfin.core.errors import DeviceError
+from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 
 InputValue = TypeVar("InputValue")
@@ -47,6 +49,13 @@ class NewestReference(Generic[InputValue]):
         self.is_lost = False
         """Whether references were received and the latest one has expired."""
 
+    def forget(self) -> None:
+        """Forget the references so far, as at the start."""
+        with contextlib.suppress(DeviceError):
+            self.subscription.take()
+        self._newest = None
+        self.is_lost = False
+
     def newest(self) -> InputValue | None:
         """Return the latest reference; None if there is none or it has expired, which is
         reported."""
@@ -82,7 +91,8 @@ neither messages from a best-effort publisher, such as a radio bridge or a joyst
 
 
 class EmergencyStop:
-    """A std_msgs/Bool topic on which `true` or an unreadable message causes a permanent stop."""
+    """Memory of a stop, which only `reset` clears: a stop on a std_msgs/Bool topic, by `true` or by
+    an unreadable message, or a stop for any other reason. Any thread may call its methods."""
 
     def __init__(self, transport: Transport, topic: str, once: OnceReporter) -> None:
         """Subscribe to the topic; `once` receives notes for the user."""
@@ -94,7 +104,10 @@ class EmergencyStop:
             )
             for quality in QUALITIES
         }
+        self._lock = threading.Lock()
         self._reason: str | None = None
+        self._requesting: set[Quality] = set()
+        """Readers whose latest message requests a stop."""
 
     @property
     def refused(self) -> int:
@@ -103,27 +116,52 @@ class EmergencyStop:
 
     def reason(self) -> str | None:
         """Return the reason for a permanent stop; None if none was requested."""
-        if self._reason is None:
-            try:
-                self._reason = next(
-                    filter(None, map(self._read_stop, self._subscriptions.values())), None
-                )
-                # Only this reader must match every publisher, because it requests the lowest
-                # quality.
-                if self._subscriptions["best_effort"].mismatched():
-                    problem = (
-                        "messages from a publisher cannot be received, so it cannot stop the fin"
-                    )
-                    self._once(
-                        f"{self._topic}: {problem}; use the default quality of service of ROS 2"
-                    )
-            except DeviceError as error:
-                self._reason = f"emergency stop cannot be received: {error}"
-        return self._reason
+        with self._lock:
+            if self._reason is None:
+                self._reason = self._read_stops()
+            return self._reason
 
-    def _read_stop(self, subscription: Subscription[bool]) -> str | None:
+    def stop(self, reason: str) -> None:
+        """Remember a stop for a reason other than the topic."""
+        with self._lock:
+            earlier = self._reason or ""
+            # The outcome of a stop contains its reason; a repeated stop adds nothing.
+            if earlier in reason:
+                self._reason = reason
+            elif reason not in earlier:
+                self._reason = f"{earlier}; {reason}"
+
+    def reset(self) -> None:
+        """Forget the stop; raises RigError if the latest message still requests one or if no
+        messages can be received."""
+        with self._lock:
+            # A stop that arrives now must not be lost if the reset is refused.
+            self._reason = self._read_stops() or self._reason
+            if self._requesting:
+                raise RigError(f"{self._topic}: still requests a stop; publish false on it first")
+            self._reason = None
+
+    def _read_stops(self) -> str | None:
+        try:
+            reasons = [self._read_stop(quality) for quality in QUALITIES]
+            # Only this reader must match every publisher, because it requests the lowest quality.
+            if self._subscriptions["best_effort"].mismatched():
+                problem = "messages from a publisher cannot be received, so it cannot stop the fin"
+                self._once(f"{self._topic}: {problem}; use the default quality of service of ROS 2")
+        except DeviceError as error:
+            self._requesting.update(QUALITIES)
+            return f"emergency stop cannot be received: {error}"
+        return next(filter(None, reasons), None)
+
+    def _read_stop(self, quality: Quality) -> str | None:
+        subscription = self._subscriptions[quality]
         refused = subscription.refused
-        if any(stop for _, stop in subscription.take()):
+        stops = [stop for _, stop in subscription.take()]
+        if subscription.refusal is not None or (stops and stops[-1]):
+            self._requesting.add(quality)
+        elif stops:
+            self._requesting.discard(quality)
+        if any(stops):
             return f"emergency stop on {self._topic}"
         # A readable message does not cancel an earlier unreadable one.
         if subscription.refused > refused:

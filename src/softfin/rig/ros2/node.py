@@ -17,7 +17,7 @@ from softfin.rig.ros2.connection import Subscription, Transport, read_reference_
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.session import MeasuredForce
 from softfin.rig.stop import StopRequest
-from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
+from softfin.storage.bag.messages import FLOAT, JOINT_STATE, WRENCH_STAMPED, cdr
 
 REFERENCE_LIMIT_N = 20.0
 """Default of `NodeConfig.reference_limit_n` for the paper's fin [N]."""
@@ -42,9 +42,13 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None),
         clock: Callable[[], float] = time.monotonic,
         default_limit_n: float = REFERENCE_LIMIT_N,
+        torque_constant_nm_a: float | None = None,
+        emergency_stop: EmergencyStop | None = None,
     ) -> None:
         """Connect. `report` receives each note for the user only once; `resolve` maps a reference
-        to the tracked reference; `default_limit_n` applies if `topics` has no limit."""
+        to the tracked reference; `default_limit_n` applies if `topics` has no limit;
+        `torque_constant_nm_a` is None if the motor torque is unknown; `emergency_stop` is None if
+        the node reads the stop topic by itself."""
         self.config = topics
         self._limit_n = topics.reference_limit_n or default_limit_n
         self._report_once = OnceReporter(report)
@@ -53,6 +57,8 @@ class RosNode:
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
+        self._current = transport.publish(topics.current_topic, FLOAT)
+        self._torque_constant = torque_constant_nm_a
         subscription = Subscription(
             transport, topics.reference_topic, WRENCH_STAMPED, self._tracked, stamped=False
         )
@@ -61,7 +67,9 @@ class RosNode:
         )
         # Reject a controller that cannot track 0 N before anything moves.
         self._no_force = resolve((0.0, 0.0))[0] if topics.reference_lost == "zero" else None
-        self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
+        self._stop = emergency_stop or EmergencyStop(
+            transport, topics.stop_topic, self._report_once
+        )
         self._published: Target | None = None
         self._unsent = 0
 
@@ -74,11 +82,16 @@ class RosNode:
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
         try:
-            self.joint.send(cdr(JOINT_STATE, stamp, (sample.angle, sample.velocity), frame, name))
+            joint = [sample.angle, sample.velocity]
+            if sample.current is not None and self._torque_constant is not None:
+                joint.append(self._torque_constant * sample.current)
+            self.joint.send(cdr(JOINT_STATE, stamp, joint, frame, name))
             self._wrench.send(cdr(WRENCH_STAMPED, force_stamp, sample.wrench, frame))
             if target is not None and target != self._published:
                 self._command.send(cdr(JOINT_STATE, stamp, target, frame, name))
                 self._published = target
+            if sample.current is not None:
+                self._current.send(cdr(FLOAT, stamp, (sample.current,)))
         except DeviceError as error:
             self._unsent += 1
             self._report_once(str(error))
@@ -87,6 +100,10 @@ class RosNode:
         """Return the latest reference; if it has expired, zero force or None, as configured."""
         newest = self._references.newest()
         return self._no_force if newest is None and self._references.is_lost else newest
+
+    def forget_references(self) -> None:
+        """Forget the references before this motion."""
+        self._references.forget()
 
     def stop_reason(self) -> str | None:
         """Return the reason for a permanent stop, which may be an unreadable message; None while no

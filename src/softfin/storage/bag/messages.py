@@ -72,6 +72,9 @@ FIELDS = {
 """Paths of the values in each message: angle and velocity [rad, rad/s], force and torque [N, N m],
 current [A]."""
 
+OPTIONAL_FIELDS = {JOINT_STATE: ("effort.0",)}
+"""Paths of further values, which are missing if unknown: torque of the motor [N m]."""
+
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
@@ -101,8 +104,8 @@ def cdr(
     loop waits.
     """
     if isinstance(values, str):
-        return serialized(kind, {"data": values.encode(errors="replace").decode()})
-    blank, places = _template(kind, frame, joint)
+        return serialized(kind, {"data": values})
+    blank, places = _template(kind, frame, joint, len(values) > len(FIELDS[kind]))
     data = bytearray(blank)
     if kind != FLOAT:
         _STAMP.pack_into(data, _STAMP_BYTE, *divmod(stamp_ns, SECOND_NS))
@@ -112,12 +115,14 @@ def cdr(
 
 
 @cache
-def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
-    """Return a message serialised by rosbags, and the byte offsets of its values."""
+def _template(kind: str, frame: str, joint: str, complete: bool) -> tuple[bytes, tuple[int, ...]]:
+    """Return a message serialised by rosbags, and the byte offsets of its values, with the optional
+    values if it is `complete`."""
     # Each value gets its own marker (1, 2 and so on), whose bytes are searched for to find the
     # offset.
-    marks = range(1, 1 + len(FIELDS[kind]))
-    values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
+    paths = FIELDS[kind] + (OPTIONAL_FIELDS.get(kind, ()) if complete else ())
+    marks = range(1, 1 + len(paths))
+    values: dict[str, object] = dict(zip(paths, marks, strict=True))
     if kind != FLOAT:
         values["header.frame_id"] = frame
     if kind == JOINT_STATE:
@@ -146,7 +151,8 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
         value = values.get("", blank)
         if values.keys() - {""} or isinstance(value, str) != isinstance(blank, str):
             raise ValueError(f"no field that accepts {values}")
-        return value
+        # Texts may contain surrogates, e.g. from file names, which UTF-8 cannot represent.
+        return value.encode(errors="replace").decode() if isinstance(value, str) else value
     inner: dict[str, dict[str, Any]] = defaultdict(dict)
     for path, value in values.items():
         first, _, rest = path.partition(".")
