@@ -92,7 +92,7 @@ results: setup ## rerun the figures of README and docs: hours; MINUTES=60 PART="
 	$(RUN) $(EXTRAS) python -m results $(PART) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SINCE),--since $(SINCE))
 	$(RUN) python -m results --write
 
-results-quick: setup ## rerun one seed of every part in about an hour and compare it with the figures, before a release; SEED=15
+results-quick: setup ## rerun one seed of every part in about an hour and a half and compare it with the figures, before a release; SEED=15
 	$(RUN) $(EXTRAS) python -m results --quick $(if $(SEED),--seed $(SEED)) $(PART)
 
 figures: setup ## write the figures of results/, and their age, into README and docs

@@ -200,9 +200,9 @@ def options() -> set[str]:
     scripts = "".join(
         path.read_text()
         for folder in ("docs", "examples", "studies")
-        for path in (ROOT / folder).glob("*.py")
+        for path in (ROOT / folder).rglob("*.py")
     )
-    names |= set(re.findall(r'add_argument\("(--[\w-]+)"', scripts))
+    names |= set(re.findall(r'add_argument\(\s*"(--[\w-]+)"', scripts))
     return names
 
 

@@ -732,9 +732,9 @@ def test_a_quick_run_takes_another_seed(quick_run, monkeypatch, tmp_path):
     assert json.loads((tmp_path / "quick/report.json").read_text())["seed"] == 15
 
 
-def test_a_quick_run_leaves_out_benchmarks_alone_and_takes_about_an_hour():
+def test_a_quick_run_leaves_out_benchmarks_alone_and_takes_an_hour_and_a_half():
     table = parts((quick.SEED,))
     left_out = {name for name in table if quick.find_reason_to_leave_out(name) is not None}
     assert left_out == {name for name in PARTS if name.startswith("bench-")}
     kept = {name: part for name, part in table.items() if name not in left_out}
-    assert 20 < quick.estimate_minutes(kept, record.FOLDER) < 70
+    assert 45 < quick.estimate_minutes(kept, record.FOLDER) < 100
