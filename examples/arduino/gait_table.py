@@ -77,7 +77,9 @@ def main() -> None:
         "--centre", type=float, default=90, help="servo angle at angle 0 [deg], as in --angle-zero"
     )
     parser.add_argument(
-        "--negate", action="store_true", help="if the logs were read with --negate angle"
+        "--negate",
+        action="store_true",
+        help="if the logs were read with --negate command_angle, alone or with others",
     )
     arguments = parser.parse_args()
     controller = softfin.load_controller(arguments.gaits)
@@ -97,9 +99,9 @@ def main() -> None:
     way = "decrease" if arguments.negate else "increase"
     print(
         f"{arguments.out}: {text.count(' N')} gaits; the fin's angle 0 is servo angle "
-        f"{arguments.centre:g} degrees, and positive angles {way} the servo angle. If the logs were "
-        "read with another --angle-zero, or with --negate, use --centre or --negate here; otherwise "
-        "the fin pushes the wrong way"
+        f"{arguments.centre:g} degrees, and positive angles {way} the servo angle. Check that "
+        "--centre equals --angle-zero of the import in degrees, and that --negate is set only if the "
+        "import had --negate command_angle; otherwise the fin pushes in the wrong direction"
     )
 
 

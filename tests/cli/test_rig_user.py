@@ -131,7 +131,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     loaded = load_controller(controller)
     drive = driving.Drive(loaded, loaded, BENCH, Arming(), 1, None)
-    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
+    list(drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter"))
     assert session.stop_request.trip == (
         "emergency_stop",
         "the output is no longer being read (Broken pipe)",
@@ -150,7 +150,7 @@ def test_the_errors_are_those_of_the_whole_last_window(controller, monkeypatch):
     loaded = load_controller(controller)
     drive = driving.Drive(loaded, loaded, BENCH, Arming(), None, None)
     result = {}
-    drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), result, "Enter")
+    list(drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), result, "Enter"))
     assert result["error_x_n"] == pytest.approx(0.5)
     assert result["window_s"] == 2
 
@@ -166,7 +166,7 @@ def test_feedback_names_the_key_without_which_the_current_is_not_used(
     drive = driving.Drive(loaded, acting, BENCH, Arming(), 3, None)
     with session:
         session.activate()
-        drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter")
+        list(drive._follow(session, lambda at: (1.0, 0.0), (0.0, 0.0), {}, "Enter"))
     assert capsys.readouterr().err.count("drive.torque_constant_nm_a") == lines
 
 

@@ -360,6 +360,8 @@ def test_an_activation_that_waits_ends_with_the_loop(there):
     results = there.in_thread(there.node.change_state, "activate")
     assert there.machine.opening.waiting.wait(HANG_S)
     there.executor.shutdown(0.0)
+    # The join lets the fin open.
+    wait_until(lambda: there.node._emergency_stop.reason() is not None)
     there.join()
     wait_until(lambda: results)
     assert results == [FAILURE]
@@ -566,7 +568,7 @@ def test_parameters_are_read_only_while_the_node_is_configured(there):
 def test_no_other_node_may_arm_or_start_the_fin(there, name):
     before = there.node.values[name]
     result = there.node.set_parameter(name, not before)
-    assert result.reason == f"{name}: only at the start; set it in the parameter file"
+    assert result.reason == f"{name}: can only be set at the start; set it when you start the node"
     assert there.node.values[name] is before
 
 

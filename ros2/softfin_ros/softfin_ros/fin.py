@@ -96,7 +96,7 @@ class FinNode(LifecycleNode):
             self._transport.spin(executor)
         finally:
             failure = self._transport.failure
-            self._fin.end(f"no more messages arrive ({failure}); start the node again")
+            self._fin.end(f"cannot receive messages ({failure}); restart the node")
 
     def on_configure(self, state: object) -> TransitionCallbackReturn:
         """Load the controller and create the topics."""
@@ -149,7 +149,9 @@ class FinNode(LifecycleNode):
         """Accept parameters only while they can take effect."""
         names = {each.name for each in changes}
         if fixed := sorted(names & FIXED):
-            reason = f"{', '.join(fixed)}: only at the start; set it in the parameter file"
+            reason = (
+                f"{', '.join(fixed)}: can only be set at the start; set it when you start the node"
+            )
         elif own := self._is_configured and sorted(names & FinParameters.model_fields.keys()):
             reason = f"{', '.join(own)}: cannot be changed after configure; clean up the node first"
         else:

@@ -25,7 +25,8 @@ class FinParameters(Configuration):
     plant: str = "rig"
     """The fin: rig or ros2, optionally followed by :FILE."""
     reference: Force = (0.0, 0.0)
-    """Reference force (x, y) while the topic has no recent message [N]."""
+    """Reference force (x, y) before the first message, and after an expired one if `reference_lost`
+    is keep [N]."""
     strict: bool = False
     """Reject unreachable references instead of tracking the nearest reachable one."""
     feedback: bool = False
@@ -77,8 +78,8 @@ class FinParameters(Configuration):
         machine = drive.robot.machine
         if isinstance(machine, Ros2Machine) and machine.config.stop_topic == config.stop_topic:
             raise ConfigurationError(
-                f"stop topic {config.stop_topic}: also that of the driver, so each deactivation "
-                "would stop this node; remap the topic stop of this node"
+                f"stop topic {config.stop_topic}: also used by the driver, so each deactivation "
+                "would stop this node; remap the stop topic of this node"
             )
         return NodeDrive.connect(
             drive, transport, config, self.reference, self.strict, emergency_stop

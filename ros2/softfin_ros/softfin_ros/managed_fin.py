@@ -71,7 +71,7 @@ class ManagedFin:
         between two motions."""
         try:
             while not (self._is_over or signals.trip):
-                self._run_once()
+                self._run_once(signals)
         except Exception as error:
             self._emergency_stop.stop(in_one_line(error, "the loop of the node failed"))
         finally:
@@ -158,18 +158,19 @@ class ManagedFin:
             if not self.is_wanted:
                 raise RigError(self._emergency_stop.reason() or DEACTIVATED)
 
-    def _run_once(self) -> None:
+    def _run_once(self, signals: StopRequest) -> None:
         """Wait for an activation, and move until it ends."""
         request = self._request
         with stopped_by_signals(request):
-            while not (self.is_wanted or self._is_over or request.trip):
+            # From here on, `signals` does not change.
+            while not (self.is_wanted or self._is_over or request.trip or signals.trip):
                 self._publish()
                 with self._changed:
                     if not (self.is_wanted or self._is_over):
                         # Without a timeout, a signal that another thread receives would not wake
                         # us, and the stop topic would not be read.
                         self._changed.wait(SIGNAL_CHECK_S)
-            if self.is_wanted:
+            if self.is_wanted and signals.trip is None:
                 self._move(request)
         if request.ends_program:
             self._is_over = True

@@ -64,7 +64,7 @@ class SafetyStop(RunError):
         self.cause = cause
         """Short name of the reason as in recordings, e.g. ``force_peak``; empty if unknown."""
         self.is_confirmed = is_confirmed
-        """Whether the machine has confirmed the stop, if it can ever do so."""
+        """Whether the stop is confirmed; also True if the machine cannot confirm any stop."""
 
 
 def one_line(error: BaseException) -> str:

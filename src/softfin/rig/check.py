@@ -164,7 +164,7 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
         in_time = late["late_p99_ms"] <= 2.0 and not late["skipped_ticks"]
         advice = "" if in_time else "; close other programs, or use a less busy computer"
         if not is_urgent:
-            advice += "; without real-time priority, see docs/rig.md"
+            advice += "; real-time priority is not allowed, see docs/rig.md"
         yield CheckResult(
             "100 Hz loop",
             "well" if in_time else "wrong",

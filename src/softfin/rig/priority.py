@@ -12,10 +12,13 @@ WATCHDOG = LOOP + 1
 
 
 def set_priority(priority: int, clock: Clock) -> bool:
-    """Run the calling thread before all programs of lower priority; new threads and processes are
-    normal. Return whether the system allows it; in simulated time nothing changes."""
+    """Run the calling thread before all programs of lower priority; new threads and processes start
+    with normal priority. Return whether it was set; False in simulated time."""
     if clock.is_simulated or not hasattr(os, "SCHED_RESET_ON_FORK"):
         return False
+    if os.sched_getparam(0).sched_priority > WATCHDOG:
+        # The user has set a higher one, e.g. with chrt.
+        return True
     policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
     try:
         os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

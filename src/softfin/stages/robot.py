@@ -160,13 +160,13 @@ def run_robot(transport: "Transport", robot: "RobotConfig", settings: "RobotNode
     from softfin.robot.node import RobotNode
 
     request = StopRequest()
-    node = RobotNode(transport, robot, settings, say)
-    for note in transport.notes:
-        say(note)
-    if on_terminal():
-        line = "wrenches come from the topic; press Enter alone to stop the fins"
-        listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
     with stopped_by_signals(request):
+        node = RobotNode(transport, robot, settings, say)
+        for note in transport.notes:
+            say(note)
+        if on_terminal():
+            line = "wrenches come from the topic; press Enter alone to stop the fins"
+            listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
         node.run(request)
 
 

@@ -31,11 +31,11 @@ def check_force_sensor(sensor: StreamedSensor, silence: Callable[[], object] | N
 
     Args:
         sensor: The sensor, with its `RecordSource`.
-        silence: Function that makes the sensor silent; the age of its force must then grow, and a
-            complaint follow.
+        silence: Function that silences the sensor. The force must then become older, and the
+            sensor must report a complaint.
 
     Raises:
-        RigError: With the problem and the requirement.
+        RigError: If the contract is not met; the message names the problem and the requirement.
 
     Example:
         >>> check_force_sensor(sensor, silence=board.unplug)
@@ -66,7 +66,7 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
         clock: Clock of the drive.
 
     Raises:
-        RigError: With the problem and the requirement.
+        RigError: If the contract is not met; the message names the problem and the requirement.
 
     Example:
         >>> check_drive(drive)

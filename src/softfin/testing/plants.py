@@ -38,7 +38,8 @@ def check_plant(plant: Any) -> None:
         plant: The plant.
 
     Raises:
-        PlantError: With the problem and the requirement.
+        PlantError: If the contract is not met; the message names the problem and the
+            requirement.
 
     Example:
         >>> check_plant(softfin.find_plant("tank"))
@@ -60,7 +61,8 @@ def check_surrogate(surrogate: Any) -> None:
         surrogate: The surrogate.
 
     Raises:
-        PlantError: With the problem and the requirement.
+        PlantError: If the contract is not met; the message names the problem and the
+            requirement.
 
     Example:
         >>> check_surrogate(softfin.load_surrogate("surrogate"))

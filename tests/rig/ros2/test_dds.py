@@ -160,7 +160,10 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert told["unsent"] == 0
     assert told["listening"] == 1
     (refusal,) = told["refusals"]
-    assert refusal == "/fin/stop: still requests a stop; publish false on it first"
+    assert refusal == (
+        "/fin/stop: still requests a stop; publish false on it (latched, if the stop was), or restart "
+        "the node"
+    )
     messages = Messages()
     seen = {
         name: bytes.fromhex(data)

@@ -138,7 +138,10 @@ class EmergencyStop:
             # A stop that arrives now must not be lost if the reset is refused.
             self._reason = self._read_stops() or self._reason
             if self._requesting:
-                raise RigError(f"{self._topic}: still requests a stop; publish false on it first")
+                raise RigError(
+                    f"{self._topic}: still requests a stop; publish false on it (latched, if the "
+                    "stop was), or restart the node"
+                )
             self._reason = None
 
     def _read_stops(self) -> str | None:
