@@ -39,7 +39,7 @@ GROUPS = {
             "grid-100000": "100,000",
         },
     ),
-    "open loop": (GREY, "^", {"law": "amplitude law", "sine": "best sines"}),
+    "formulas and sines": (GREY, "^", {"law": "amplitude law", "sine": "best sines"}),
 }
 """Colour, marker and rows of each group, with the labels of the rows."""
 

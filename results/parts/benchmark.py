@@ -1,10 +1,10 @@
 """Parts that run the benchmark: the rows of its table, and the same for fins of other sizes."""
 
-import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from results.parts.common import (
+    PAPER_PPO,
     TINY_MAP,
     TINY_NETS,
     Figures,
@@ -26,21 +26,12 @@ from results.steps import Step, step
 TINY_PROTOCOL = "--seconds 4 --seeds 1 --tanks 1 --change-s 6 --rates-hz '[0.1]'"
 
 BUDGETS = {
-    "single": (30_000, 100_000, 300_000),
+    "single": (100_000, 300_000),
     # As many in all six cells, and as many in each of them, as those of a single policy; 300,000 in
     # each would take an hour.
     "grid": (5_000, 16_700, 50_000, 30_000, 100_000),
 }
-"""Actions of each policy."""
-
-PAPER_PPO = {
-    "single": "--ppo.num-envs 32 --ppo.num-epochs 8",
-    "grid": "--ppo.num-envs 16 --ppo.num-epochs 10",
-}
-"""The paper's rollouts and epochs."""
-
-RATES_HZ = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 0.9)
-"""Rates of the frequency response in the table."""
+"""Actions of each policy, beside the paper's 30,000 of a single one."""
 
 FINS = ("hand", "vehicle")
 """Fins of `examples/fins/`."""
@@ -69,7 +60,8 @@ def benchmark(seeds: Sequence[int]) -> Part:
         own |= _with_gaits(surrogate, gaits, "--plant tank")
         faster = find_gaits_at("6,1", surrogate.name, seed)
         own["gaits-6-1"] = Row(_judge(faster), (surrogate, faster))
-        policies = {kind: make_controller(kind, surrogate.name, seed) for kind in BUDGETS}
+        named = {"single": "single", "grid": "grid", "single-30000": "single-ppo"}
+        policies = {row: make_controller(kind, surrogate.name, seed) for row, kind in named.items()}
         for kind, budgets in BUDGETS.items():
             policies |= {
                 f"{kind}-{actions}": _policy(kind, actions, surrogate.name, seed)
@@ -150,10 +142,13 @@ def _part(title: str, logs: Sequence[Step], rows: Mapping[str, Sequence[Row]]) -
         for kind, those in rows.items():
             seeds = [row.judged.seed or 0 for row in those]
             files = [work.json(f"{row.judged.name}/benchmark.json") for row in those]
-            for score, (unit, find) in SCORES.items():
-                # What a controller does not cover has no figure.
-                with contextlib.suppress(KeyError):
-                    values = [find(file["cases"]) for file in files]
+            judged = [file["cases"] for file in files]
+            for score, (case, unit, find) in SCORES.items():
+                if not any("not_covered" in cases[case] for cases in judged):
+                    values = [find(cases[case]) for cases in judged]
+                    figures[f"{kind}.{score}"] = figure(unit, values, seeds)
+            if not any("not_covered" in cases["frequency"] for cases in judged):
+                for score, unit, values in _responses([cases["frequency"] for cases in judged]):
                     figures[f"{kind}.{score}"] = figure(unit, values, seeds)
             made = [names_of(row.made) for row in those]
             figures[f"{kind}.processor"] = work.spent(made, seeds, "processor_s")
@@ -162,60 +157,48 @@ def _part(title: str, logs: Sequence[Step], rows: Mapping[str, Sequence[Row]]) -
     return Part(title, tuple(dict.fromkeys(steps)), read)
 
 
-def _settling_s(cases: Mapping[str, Any]) -> Value:
+def _settling_s(case: Any) -> Value:
     """The longest settling time of the steps; None if one does not settle."""
-    rows = [row for row in cases["moving"]["rows"] if row["described"].startswith("step")]
+    rows = [row for row in case["rows"] if row["described"].startswith("step")]
     longest = [row["longest_settling_s"] for row in rows]
     return None if None in longest else max(longest)
 
 
-def _turn_n(cases: Mapping[str, Any]) -> Value:
+def _turn_n(case: Any) -> Value:
     """The larger error of both directions on each axis."""
-    rows = [row for row in cases["moving"]["rows"] if "turn" in row["described"]]
+    rows = [row for row in case["rows"] if "turn" in row["described"]]
     return [max(row[axis]["error_n"] for row in rows) for axis in "xy"]
 
 
-def _perturbed_n(index: int) -> Callable[[Mapping[str, Any]], Value]:
-    return lambda cases: pair(cases["perturbed"][index]["mean"])
+def _changed_n(after_s: int) -> Callable[[Any], Value]:
+    # The tiny protocol ends earlier.
+    return lambda case: {row["after_s"]: row["rms_n"] for row in case}.get(after_s)
 
 
-def _changed_n(after_s: int) -> Callable[[Mapping[str, Any]], Value]:
-    def find(cases: Mapping[str, Any]) -> Value:
-        return {row["after_s"]: row["rms_n"] for row in cases["changed"]}[after_s]
-
-    return find
-
-
-def _response(motion: str, rate_hz: float, name: str) -> Callable[[Mapping[str, Any]], Value]:
-    """Gain or phase of the force without the averaging; phases that lag by half a turn are on the
-    same side, so that seeds have a mean."""
-
-    def find(cases: Mapping[str, Any]) -> Value:
-        rows = {row["rate_hz"]: row for row in cases["frequency"][motion]}
-        if name == "gain":
-            return rows[rate_hz]["force_gain"]
-        return (rows[rate_hz]["force_phase_deg"] + 270) % 360 - 270
-
-    return find
+def _responses(cases: Sequence[Any]) -> Iterator[tuple[str, str, list[Value]]]:
+    """Gain and phase of the force without the averaging, with their names and units; phases that
+    lag by half a turn are on the same side, so that seeds have a mean."""
+    for motion in ("turn", "pulse"):
+        for rows in zip(*(case[motion] for case in cases), strict=True):
+            rate = f"{rows[0]['rate_hz']:g}"
+            yield f"{motion}.gain.{rate}", "", [row["force_gain"] for row in rows]
+            phases = [row["force_phase_deg"] for row in rows]
+            lags = [None if each is None else (each + 270) % 360 - 270 for each in phases]
+            yield f"{motion}.phase.{rate}", "deg", lags
 
 
-SCORES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], Value]]] = {
-    "error": ("N", lambda cases: pair(cases["references"]["mean"])),
-    "std": ("N", lambda cases: pair(cases["references"]["mean"], "std_n")),
-    "power": ("W", lambda cases: cases["references"]["mean"]["power"]["electrical"]["mean_w"]),
-    "reach": ("N", lambda cases: cases["references"]["conditions"]["reach_n"]),
-    "settles": ("s", _settling_s),
-    "turn": ("N", _turn_n),
-    "perturbed-15": ("N", _perturbed_n(0)),
-    "perturbed-30": ("N", _perturbed_n(1)),
-    "changed-0": ("N", _changed_n(0)),
-    "changed-6": ("N", _changed_n(6)),
-    "changed-20": ("N", _changed_n(20)),
-    **{
-        f"{motion}.{name}.{rate_hz:g}": (unit, _response(motion, rate_hz, name))
-        for motion in ("turn", "pulse")
-        for name, unit in (("gain", ""), ("phase", "deg"))
-        for rate_hz in RATES_HZ
-    },
+SCORES: Mapping[str, tuple[str, str, Callable[[Any], Value]]] = {
+    "error": ("references", "N", lambda case: pair(case["mean"])),
+    "std": ("references", "N", lambda case: pair(case["mean"], "std_n")),
+    "power": ("references", "W", lambda case: case["mean"]["power"]["electrical"]["mean_w"]),
+    "reach": ("references", "N", lambda case: case["conditions"]["reach_n"]),
+    "settles": ("moving", "s", _settling_s),
+    "turn": ("moving", "N", _turn_n),
+    "perturbed-15": ("perturbed", "N", lambda case: pair(case[0]["mean"])),
+    "perturbed-30": ("perturbed", "N", lambda case: pair(case[1]["mean"])),
+    "changed-0": ("changed", "N", _changed_n(0)),
+    "changed-6": ("changed", "N", _changed_n(6)),
+    "changed-20": ("changed", "N", _changed_n(20)),
 }
-"""Unit of each score, and where it is in the cases of a ``benchmark.json``."""
+"""Case and unit of each score, and how it is read; a case that a controller does not cover has no
+figure."""

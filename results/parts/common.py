@@ -150,15 +150,21 @@ def paper(seed: int) -> Step:
 PAPER_BOX = "--box '{low: [0.5, -1.5], high: [3.5, 1.5]}' --spacing-n 0.55"
 """Gaits over the paper's range of references only."""
 
+PAPER_PPO = {
+    "single": "--ppo.num-envs 32 --ppo.num-epochs 8",
+    "grid": "--ppo.num-envs 16 --ppo.num-epochs 10",
+}
+"""The paper's rollouts and epochs."""
+
 POLICIES = {
     "single": ("--controller single", 1.5),
     "grid": ("--controller grid", 2),
     "single-ppo": (
-        "--controller single --range paper --steps 30000 --ppo.num-envs 32 --ppo.num-epochs 8",
+        f"--controller single --range paper --steps 30000 {PAPER_PPO['single']}",
         0.7,
     ),
     "grid-ppo": (
-        "--controller grid --range paper --steps 10000 --ppo.num-envs 16 --ppo.num-epochs 10",
+        f"--controller grid --range paper --steps 10000 {PAPER_PPO['grid']}",
         1,
     ),
 }

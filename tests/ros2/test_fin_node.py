@@ -119,6 +119,13 @@ class Parts:
         threading.Thread(target=lambda: results.append(function(*arguments)), daemon=True).start()
         return results
 
+    def activate_until_open(self):
+        """Start an activation that waits while the devices open; return the list of its result."""
+        self.machine.opening.shut()
+        results = self.in_thread(self.node.change_state, "activate")
+        assert self.machine.opening.waiting.wait(HANG_S)
+        return results
+
     def check_refused(self, reason):
         """Check that an inactive node cannot be activated before the reset."""
         commands = len(self.machine.commands)
@@ -223,9 +230,7 @@ def test_a_stop_while_inactive_is_remembered_over_cleanup_and_configure(there, r
 @each_stop
 def test_a_stop_while_the_devices_open_is_remembered_and_nothing_moves(there, reason, stop):
     there.change("configure")
-    there.machine.opening.shut()
-    results = there.in_thread(there.node.change_state, "activate")
-    assert there.machine.opening.waiting.wait(HANG_S)
+    results = there.activate_until_open()
     stop(there)
     there.machine.opening.is_open.set()
     wait_until(lambda: results)
@@ -241,9 +246,7 @@ def test_a_stop_while_the_devices_fail_to_open_is_remembered(there, reason, stop
 
     there.change("configure")
     there.machine.on_open = fail
-    there.machine.opening.shut()
-    results = there.in_thread(there.node.change_state, "activate")
-    assert there.machine.opening.waiting.wait(HANG_S)
+    results = there.activate_until_open()
     stop(there)
     there.machine.opening.is_open.set()
     wait_until(lambda: results)
@@ -356,9 +359,7 @@ def test_the_end_of_the_executor_stops_the_fin_and_ends_the_node(there, end, rea
 
 def test_an_activation_that_waits_ends_with_the_loop(there):
     there.change("configure")
-    there.machine.opening.shut()
-    results = there.in_thread(there.node.change_state, "activate")
-    assert there.machine.opening.waiting.wait(HANG_S)
+    results = there.activate_until_open()
     there.executor.shutdown(0.0)
     # The join lets the fin open.
     wait_until(lambda: there.node._emergency_stop.reason() is not None)

@@ -119,7 +119,7 @@ class Drive(NamedTuple):
     ) -> Result:
         """Ask for confirmation, then move and record.
 
-        `line` is called with each typed line, or None if nobody can type; `keys` describes the
+        `line` is called with each typed line; None: there is no keyboard. `keys` describes the
         possible input. If `after_action` returns True, the fin goes to rest, and the controller
         starts again with a new offset of the force sensor. Returns the path
         of the recording and the errors over its last window, which are also printed if the fin is
